@@ -146,7 +146,7 @@ impl<'a> Driver<'a> {
             Standby::new(self.scenario, roster.last_heartbeat(Role::Fusion), roster.file_of(Role::Fusion));
         let mut succession = roster.succeed(Role::Fusion);
         // A leader that dies after the last tick leaves its last estimates to a standby.
-        while !termination.requested() && !self.rendezvous.is_complete() {
+        while !termination.requested() && !self.rendezvous.is_complete() && !self.rendezvous.is_ending() {
             if let Some(lease) = roster.take_in_succession(Role::Fusion, &succession, LOOK)? {
                 if self.rendezvous.is_removed() {
                     return Err(self.rendezvous.removed().into());
@@ -189,11 +189,16 @@ impl<'a> Driver<'a> {
                 // Nothing was commanded yet, so this is the time to check that it still leads.
                 self.require_lead(&lease)?;
             }
-            if (events.has(Event::Finished) || events.is_empty()) && self.rendezvous.is_finished() {
-                self.receive()?;
-                self.leader.finish();
-                self.act(&lease)?;
-                return Ok(self.rendezvous.mark_estimated()?);
+            if events.has(Event::Finished) || events.is_empty() {
+                if self.rendezvous.is_finished() {
+                    self.receive()?;
+                    self.leader.finish();
+                    self.act(&lease)?;
+                    return Ok(self.rendezvous.mark_estimated()?);
+                }
+                if self.rendezvous.is_ending() {
+                    return Ok(());
+                }
             }
         }
         Ok(())

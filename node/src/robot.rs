@@ -116,7 +116,7 @@ impl<S: Sensor + ?Sized, P: PoseSource + ?Sized, A: Actuator> Driver<'_, S, P, A
             self.receive(events, now_ns)?;
             self.act()?;
             let may_have_ended = events.has(Event::Finished) || self.machine.is_new() || events.is_empty();
-            if may_have_ended && rendezvous.is_finished() {
+            if may_have_ended && (rendezvous.is_finished() || rendezvous.is_ending()) {
                 break;
             }
         }

@@ -1,7 +1,7 @@
 """The native half: see the modules of the package."""
 
 from os import PathLike
-from typing import Any, Callable, final
+from typing import Any, Callable, Sequence, final
 
 from typing_extensions import Self
 
@@ -23,6 +23,7 @@ class Scenario:
         keys: str | None = None,
         over: str | None = None,
         folder: str | PathLike[str] | None = None,
+        progress: Callable[[int, int], None] | None = None,
     ) -> Self: ...
     def keys(self) -> str: ...
     def to_toml(self) -> str:
@@ -231,9 +232,13 @@ def compare(
     progress: Callable[[int, int], None] | None = None,
 ) -> tuple[str, str]: ...
 def calibrate(
-    keys: str, *, truth: str | PathLike[str] | None = None, progress: Callable[[int, int], None] | None = None
+    keys: str,
+    *,
+    truth: str | PathLike[str] | None = None,
+    reading: Callable[[int, int], None] | None = None,
+    progress: Callable[[int, int], None] | None = None,
 ) -> tuple[str, str, list[list[tuple[float, float]]]]: ...
-def calibrated(keys: str, toml: str) -> str: ...
+def calibrated(keys: str, toml: str, *, reading: Callable[[int, int], None] | None = None) -> str: ...
 
 @final
 class Observer:
@@ -281,6 +286,28 @@ def ros_robot(
     position_m: tuple[float, float, float], covariance_m2: ArrayLike, heading_rad: float, heading_std_rad: float
 ) -> tuple[float, float, float, float, NDArray[np.float64]]:
     """x, y, z, yaw, covariance (36,)."""
+
+def ros_markers(
+    position_m: Sequence[float],
+    covariance_m2: Sequence[Sequence[float]],
+    robots: Sequence[tuple[Sequence[float], float, bool, float, float]],
+) -> list[tuple[str, int, int, bool, list[float], float, list[float], list[float], list[list[float]]]]:
+    """For each robot: place, range, whether that was not fused, commanded heading and speed. For each marker: namespace, id, type,
+    whether it is shown, position, yaw, scale, colour, points."""
+
+def ros_status(
+    *,
+    tick: int,
+    ticks: int,
+    fused: int,
+    missing: int,
+    rejected: int,
+    silent: Sequence[int],
+    distrusted: Sequence[int],
+    sent_ns: Sequence[int],
+    trace_m2: float,
+) -> tuple[int, str, str, list[tuple[str, str]]]:
+    """Level, name, message, and pairs of keys and values."""
 
 def ros_twist(
     heading_rad: float,

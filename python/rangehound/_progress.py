@@ -7,6 +7,9 @@ from contextlib import contextmanager
 from importlib.util import find_spec
 from typing import Any, Callable, Iterator
 
+#: The unit of files that are read.
+BYTES = "B"
+
 #: Calls that take less show nothing, s.
 DELAY_S = 0.5
 
@@ -28,17 +31,20 @@ def _bar() -> Any:
 
 @contextmanager
 def progress(unit: str, show: bool | None) -> Iterator[Callable[[int, int], None] | None]:
-    """A function of (done, all) that shows them; `show=None` decides by where the output goes."""
+    """A function of (done, all) that shows them, in `unit`, of which B are bytes; `show=None` decides by where the output goes."""
     if show is None:
         show = _is_notebook() or (sys.stderr is not None and sys.stderr.isatty())
     if not show:
         yield None
         return
-    bar = _bar()(total=0, unit=unit, delay=DELAY_S, leave=False)
+    bar = _bar()(total=0, unit=unit, unit_scale=unit == BYTES, delay=DELAY_S, leave=False)
 
     def report(done: int, everything: int) -> None:
         bar.total = everything
         bar.update(done - bar.n)
+        if done == everything:
+            # Something else may be shown next.
+            bar.close()
 
     try:
         yield report

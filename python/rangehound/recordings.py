@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, Iterator, Mapping
 
 from . import _native, figures
-from ._progress import progress
+from ._progress import BYTES, progress
 from .runs import Run
 from .scenario import Scenario, to_json
 
@@ -81,8 +81,10 @@ def track(
         }
         if calibration is not None:
             toml = calibration.to_toml() if isinstance(calibration, Calibration) else Path(calibration).read_text("utf-8")
-            keys = json.loads(_native.calibrated(to_json(keys), toml))
-        scenario = Scenario(keys)
+            with progress(BYTES, show_progress) as reading:
+                keys = json.loads(_native.calibrated(to_json(keys), toml, reading=reading))
+        with progress(BYTES, show_progress) as reading:
+            scenario = _native.Scenario.__new__(Scenario, keys=to_json(keys), progress=reading)
         with progress("tick", show_progress) as report:
             arrays, summary = _native.simulate(scenario, truth=truth, progress=report)
     return Run(scenario, arrays, summary)
@@ -103,9 +105,9 @@ def calibrate(
     unknown = [key for key in reading if key not in _READING]
     if unknown:
         raise TypeError(f"calibrate has no keyword {unknown[0]!r}: expected one of {', '.join(_READING)}")
-    with _file(ranges) as path, progress("model", show_progress) as report:
+    with _file(ranges) as path, progress(BYTES, show_progress) as of_file, progress("model", show_progress) as report:
         keys = to_json({"recording": _table(path, reading)})
-        return Calibration(*_native.calibrate(keys, truth=truth, progress=report))
+        return Calibration(*_native.calibrate(keys, truth=truth, reading=of_file, progress=report))
 
 
 def _table(path: str, keys: Mapping[str, Any]) -> dict[str, Any]:

@@ -7,6 +7,7 @@ use pyo3::create_exception;
 use pyo3::exceptions::{PyRuntimeError, PyValueError};
 use pyo3::prelude::*;
 use rangehound::failure::{Failure, one_short_line, with_causes};
+use rangehound::files::bytes_read::BytesRead;
 
 create_exception!(
     rangehound,
@@ -36,17 +37,34 @@ pub(crate) fn failed(failure: impl Into<Failure>) -> PyErr {
 /// How long a call works until Python can act on signals.
 const LOOK: Duration = Duration::from_millis(5);
 
-/// Does work in a thread, so that Python can act on signals meanwhile. After one, nobody waits for the thread.
+/// Reads in a thread, so that Python can act on signals meanwhile, and show `progress`, a function of the bytes that have been read and of
+/// all. After a signal nobody waits for the thread.
 pub(crate) fn interruptible<T: Send + 'static>(
     py: Python<'_>,
-    work: impl FnOnce() -> T + Send + 'static,
+    progress: Option<&Py<PyAny>>,
+    work: impl FnOnce(&BytesRead) -> T + Send + 'static,
 ) -> PyResult<T> {
+    let bytes = BytesRead::default();
+    let of_work = bytes.clone();
+    let work = move || work(&of_work);
+    let mut shown = [0; 2];
+    let mut show = || -> PyResult<()> {
+        let now = bytes.get();
+        match progress.filter(|_| now != shown) {
+            Some(progress) => progress.call1(py, (now[0], now[1])).map(drop)?,
+            None => return Ok(()),
+        }
+        shown = now;
+        Ok(())
+    };
     let worker = std::thread::Builder::new().name("reader".to_owned()).spawn(work);
     let worker = worker.map_err(|error| failed(anyhow::Error::from(error)))?;
     while !worker.is_finished() {
         py.detach(|| std::thread::sleep(LOOK));
         py.check_signals()?;
+        show()?;
     }
+    show()?;
     worker.join().map_err(|_| failed(anyhow::anyhow!("the reader panicked: please report this")))
 }
 

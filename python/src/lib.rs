@@ -47,7 +47,7 @@ mod _native {
     #[pymodule_export]
     use super::plan::{Plan, plan};
     #[pymodule_export]
-    use super::ros::{ros_robot, ros_target, ros_twist};
+    use super::ros::{ros_markers, ros_robot, ros_status, ros_target, ros_twist};
     #[pymodule_export]
     use super::run::{load, simulate};
     #[pymodule_export]

@@ -2,6 +2,8 @@
 
 use numpy::PyArrayDyn;
 use pyo3::prelude::*;
+use rangehound::results::ros_bag::diagnostics::Facts;
+use rangehound::results::ros_bag::markers::{Marker, Seen, markers};
 use rangehound::results::ros_bag::planar::{Controller, Moving, Placed};
 use rangehound_shared::measurement::Pose;
 use rangehound_shared::message::{Command, Estimate};
@@ -54,6 +56,50 @@ pub(crate) fn ros_robot<'py>(
     let [x_m, y_m, height_m] = position_m;
     let covariance_m2 = [covariance[0], covariance[1], covariance[3]];
     placing(py, &Placed::robot(&Pose { x_m, y_m, height_m, heading_rad, covariance_m2, heading_std_rad }))
+}
+
+/// A marker: namespace, id, type, whether it is shown, position, m, yaw, rad, scale, m, colour, and points, m.
+type Drawn = (&'static str, usize, i32, bool, [f64; 2], f64, [f64; 3], [f32; 4], Vec<[f64; 2]>);
+
+/// What RViz draws of a tick: for an estimated position (2,), m, with its covariance (2, 2), m^2; and for each robot where it is, m, NaN
+/// if it was not heard, its range, m, NaN without one, whether that was not fused, and heading, rad, and speed, m/s, of its command.
+#[pyfunction]
+pub(crate) fn ros_markers(
+    position_m: [f64; 2],
+    covariance_m2: [[f64; 2]; 2],
+    robots: Vec<([f64; 2], f64, bool, f64, f64)>,
+) -> Vec<Drawn> {
+    let seen = |(place_m, range_m, is_rejected, heading_rad, speed_mps): ([f64; 2], f64, bool, f64, f64)| {
+        let range = range_m.is_finite().then_some((range_m, is_rejected));
+        let command = Command { heading_rad, speed_mps };
+        place_m.iter().all(|x_m| x_m.is_finite()).then_some(Seen { place_m, command, range })
+    };
+    let robots: Vec<Option<Seen>> = robots.into_iter().map(seen).collect();
+    let drawn = |marker: Marker| {
+        let Marker { namespace, id, shape, is_shown, position_m, yaw_rad, scale_m, colour, points_m } = marker;
+        (namespace, id, shape as i32, is_shown, position_m, yaw_rad, scale_m, colour, points_m)
+    };
+    markers(position_m, &covariance_m2.into(), &robots).into_iter().map(drawn).collect()
+}
+
+/// What ROS's diagnostics say of a tick: level, name and message of the status, and its keys and values. `sent_ns` are the stamps of the last
+/// measurement and of the headings, `rejected` is the number since the last status.
+#[pyfunction]
+#[pyo3(signature = (*, tick, ticks, fused, missing, rejected, silent, distrusted, sent_ns, trace_m2))]
+#[allow(clippy::too_many_arguments, reason = "keywords of Python")]
+pub(crate) fn ros_status(
+    tick: u64,
+    ticks: u64,
+    fused: u64,
+    missing: u64,
+    rejected: u64,
+    silent: Vec<usize>,
+    distrusted: Vec<usize>,
+    sent_ns: [u64; 2],
+    trace_m2: f64,
+) -> (u8, &'static str, &'static str, Vec<(&'static str, String)>) {
+    let status = Facts { tick, ticks, fused, missing, silent, distrusted, sent_ns, trace_m2 }.status(rejected);
+    (status.level, status.name, status.message, status.values)
 }
 
 /// The controller of a robot that drives forwards and turns: forward speed, m/s, and turn rate, rad/s.

@@ -23,11 +23,11 @@ pub(crate) struct Scenario {
 }
 
 impl Scenario {
-    pub(crate) fn of(py: Python<'_>, given: Given) -> PyResult<Self> {
+    pub(crate) fn of(py: Python<'_>, given: Given, progress: Option<&Py<PyAny>>) -> PyResult<Self> {
         let Given { file, file_name, folder, .. } = &given;
         let checked = if file.recording.is_some() {
             let (file, file_name, folder) = (file.clone(), file_name.clone(), folder.clone());
-            interruptible(py, move || files::scenario(&file, &file_name, &folder))?
+            interruptible(py, progress, move |bytes| files::scenario_with(&file, &file_name, &folder, bytes))?
         } else {
             files::scenario(file, file_name, folder)
         };
@@ -39,7 +39,7 @@ impl Scenario {
 
     /// The scenario of a run folder, if its file is there and can be used again.
     pub(crate) fn of_run(py: Python<'_>, folder: &Path) -> Option<Self> {
-        Self::of(py, Given::read(Some(&folder.join(SCENARIO))).ok()?).ok()
+        Self::of(py, Given::read(Some(&folder.join(SCENARIO))).ok()?, None).ok()
     }
 
     /// The scenario that is run: with another seed and length, if they are given.
@@ -50,22 +50,23 @@ impl Scenario {
         let mut given = self.given.clone();
         given.file.seed = seed.or(given.file.seed);
         given.file.ticks = ticks.or(given.file.ticks);
-        Self::of(py, given).map(|scenario| scenario.checked)
+        Self::of(py, given, None).map(|scenario| scenario.checked)
     }
 }
 
 #[pymethods]
 impl Scenario {
     /// `path`: a scenario file. `keys`: JSON of a scenario file. Neither: the paper's experiment. `over`: JSON of keys that
-    /// replace those of the same name.
+    /// replace those of the same name. `progress`: a function of the bytes of its recording that have been read, and of all.
     #[new]
-    #[pyo3(signature = (path=None, keys=None, over=None, folder=None))]
+    #[pyo3(signature = (path=None, keys=None, over=None, folder=None, progress=None))]
     fn new(
         py: Python<'_>,
         path: Option<PathBuf>,
         keys: Option<&str>,
         over: Option<&str>,
         folder: Option<PathBuf>,
+        progress: Option<Py<PyAny>>,
     ) -> PyResult<Self> {
         let mut given = match keys {
             Some(keys) => Given {
@@ -86,7 +87,7 @@ impl Scenario {
             merge(&mut merged, over);
             given.file = from_keys(&merged.to_string())?;
         }
-        Self::of(py, given)
+        Self::of(py, given, progress.as_ref())
     }
 
     /// Its keys as JSON.

@@ -7,6 +7,7 @@ use std::time::Duration;
 
 use anstream::adapter::strip_str;
 use pyo3::prelude::*;
+use rangehound::files::bytes_read::BytesRead;
 use rangehound::files::{calibration, input as files};
 use rangehound::results::report::Truth;
 use rangehound::study::calibrate::{Found, check};
@@ -125,21 +126,22 @@ pub(crate) fn compare(
 }
 
 /// Calibrates the sensors of a recording's scenario: the keys of `calibrate --json` as JSON, `calibration.toml`, and range
-/// and residual of each reading by sensor.
+/// and residual of each reading by sensor. `reading` is a function of the bytes that have been read and of all, `progress` one of models.
 #[pyfunction]
-#[pyo3(signature = (keys, *, truth=None, progress=None))]
+#[pyo3(signature = (keys, *, truth=None, reading=None, progress=None))]
 #[allow(clippy::type_complexity, reason = "a tuple of Python")]
 pub(crate) fn calibrate(
     py: Python<'_>,
     keys: &str,
     truth: Option<PathBuf>,
+    reading: Option<Py<PyAny>>,
     progress: Option<Py<PyAny>>,
 ) -> PyResult<(String, String, Vec<Vec<(f64, f64)>>)> {
     let file = crate::scenario::from_keys(keys)?;
     let table = file.recording.ok_or_else(|| input("recording is missing: expected a table"))?;
     let given = table.clone();
-    let read = move || files::recording_of(&given, "the call of calibrate", Path::new(""));
-    let (recording, _) = interruptible(py, read)?.map_err(input)?;
+    let read = move |bytes: &BytesRead| files::recording_of_with(&given, "the call of calibrate", Path::new(""), bytes);
+    let (recording, _) = interruptible(py, reading.as_ref(), read)?.map_err(input)?;
     check(&table, &recording).map_err(failed)?;
     let truth = truth.map(|path| Truth::read(&path)).transpose().map_err(failed)?;
     let (fitted, is_wanted) = (AtomicUsize::new(0), AtomicBool::new(true));
@@ -175,16 +177,18 @@ const LOOK: Duration = Duration::from_millis(10);
 /// Models that are fitted.
 const MODELS: usize = rangehound::study::calibrate::model::Model::ALL.len();
 
-/// Adds a calibration to the keys of a recording's scenario, which take precedence: JSON of the keys, `calibration.toml`.
+/// Adds a calibration to the keys of a recording's scenario, which take precedence: JSON of the keys, `calibration.toml`. `reading` is
+/// as for [`calibrate`].
 #[pyfunction]
-pub(crate) fn calibrated(py: Python<'_>, keys: &str, toml: &str) -> PyResult<String> {
+#[pyo3(signature = (keys, toml, *, reading=None))]
+pub(crate) fn calibrated(py: Python<'_>, keys: &str, toml: &str, reading: Option<Py<PyAny>>) -> PyResult<String> {
     let mut file = crate::scenario::from_keys(keys)?;
     let found = calibration::parse(toml)
         .map_err(|problem| input(format!("calibration: expected one as `calibrate` makes it: {problem}")))?;
     if let Some(table) = &mut file.recording {
         let given = table.clone();
-        let read = move || files::recording_of(&given, "the call of track", Path::new(""));
-        let (recording, _) = interruptible(py, read)?.map_err(input)?;
+        let read = move |bytes: &BytesRead| files::recording_of_with(&given, "the call of track", Path::new(""), bytes);
+        let (recording, _) = interruptible(py, reading.as_ref(), read)?.map_err(input)?;
         let known: Vec<String> = recording.sensors().iter().map(|sensor| sensor.name.to_string()).collect();
         calibration::merge(&found, &known, table, &mut file.target.get_or_insert_default().noise_psd);
     }

@@ -5,6 +5,7 @@ import json
 import math
 import subprocess
 
+import numpy as np
 import pytest
 import rangehound as rh
 
@@ -18,6 +19,8 @@ TYPES = {
     "/target/odom": "nav_msgs/msg/Odometry",
     "/target/truth": "geometry_msgs/msg/PoseStamped",
     "/tf": "tf2_msgs/msg/TFMessage",
+    "/rangehound/markers": "visualization_msgs/msg/MarkerArray",
+    "/diagnostics": "diagnostic_msgs/msg/DiagnosticArray",
     "/robot_4/pose": "geometry_msgs/msg/PoseWithCovarianceStamped",
     "/robot_4/range": "sensor_msgs/msg/Range",
     "/robot_4/bearing": "geometry_msgs/msg/Vector3Stamped",
@@ -105,12 +108,58 @@ def test_each_message_is_a_row_of_the_estimate(run):
         assert over_ground == pytest.approx((speed * math.cos(heading), speed * math.sin(heading)))
 
 
+def test_markers_and_diagnostics_are_those_of_the_run(run):
+    live, markers, statuses = rh.load(run / "out"), [], []
+    with AnyReader([run / "bag"]) as reader:
+        for connection, _, raw in reader.messages():
+            message = reader.deserialize(raw, connection.msgtype)
+            if connection.topic == "/rangehound/markers":
+                markers.append({(marker.ns, marker.id): marker for marker in message.markers})
+            elif connection.topic == "/diagnostics":
+                statuses += message.status
+    assert_are_drawn(live, markers)
+    assert {status.name for status in statuses} == {"rangehound: estimate"}
+    values = [{pair.key: pair.value for pair in status.values} for status in statuses]
+    assert [int(value["tick"]) for value in values] == list(range(0, 101, 10))
+    assert sum(int(value["rejected in the last second"]) for value in values) == live.rejected.sum()
+    for value in values:
+        assert float(value["position trace, m^2"]) == pytest.approx(live.position_trace_m2[int(value["tick"])], abs=1e-6)
+        assert int(value["fused"]) == live.fused[int(value["tick"])]
+
+
+def assert_are_drawn(live, markers):
+    """The ellipse has the standard deviations of the estimate; rays and circles lead from robots to the target."""
+    assert len(markers) == len(live)
+    for tick, drawn in enumerate(markers):
+        ellipse = drawn["ellipse", 0]
+        covariance = live.covariance[tick, :2, :2]
+        long, short = ellipse.scale.x / 6, ellipse.scale.y / 6
+        assert (short**2, long**2) == pytest.approx(np.linalg.eigvalsh(covariance))
+        yaw = 2 * math.atan2(ellipse.pose.orientation.z, ellipse.pose.orientation.w)
+        along = np.array([math.cos(yaw), math.sin(yaw)])
+        assert along @ covariance @ along == pytest.approx(long**2)
+        assert (ellipse.pose.position.x, ellipse.pose.position.y) == tuple(live.position_m[tick])
+        for robot in range(live.believed_m.shape[1]):
+            ray, circle = drawn["ray", robot], drawn["range", robot]
+            assert (ray.action, len(ray.points)) == (0, 2)
+            assert (ray.points[0].x, ray.points[0].y) == tuple(live.believed_m[tick, robot])
+            assert (ray.points[1].x, ray.points[1].y) == tuple(live.position_m[tick])
+            is_measured = math.isfinite(live.range_m[tick, robot])
+            assert circle.action == (0 if is_measured else 2)
+            if is_measured:
+                away = np.array([[point.x, point.y] for point in circle.points]) - live.believed_m[tick, robot]
+                np.testing.assert_allclose(np.hypot(*away.T), live.range_m[tick, robot])
+                assert circle.color.r == pytest.approx(0.84 if live.range_used[tick, robot] > 1 else 0.5)
+
+
 def test_another_reader_agrees(run):
     bag = run / "bag"
     reader = pytest.importorskip("mcap_ros2.reader", reason="the package mcap-ros2-support is not installed")
     poses = list(reader.read_ros2_messages(bag / "bag_0.mcap", topics=["/target/pose"]))
     for row, message in zip(estimates(run), poses, strict=True):
         assert_is_row(message.ros_msg.pose, message.ros_msg.header.stamp, row)
+    drawn = [message.ros_msg.markers for message in reader.read_ros2_messages(bag / "bag_0.mcap", topics=["/rangehound/markers"])]
+    assert_are_drawn(rh.load(run / "out"), [{(marker.ns, marker.id): marker for marker in markers} for markers in drawn])
     count = sum(1 for _ in reader.read_ros2_messages(bag / "bag_0.mcap"))
     with Reader(bag) as other:
         assert count == other.message_count

@@ -87,7 +87,7 @@ def test_a_second_run_of_one_name_is_refused_and_the_first_goes_on(program, name
             rh.run(name=name, out=tmp_path / "other", program=program, ticks=100)
         assert {node["state"] for node in run.status()["nodes"]} == {"running"}
         run.stop()
-        with pytest.raises(rh.RunError, match="as asked"):
+        with pytest.raises(rh.RunError, match="stopped before its last tick"):
             run.report()
         # Another run may have the name by now.
         with rh.run(name=name, out=tmp_path / "other", program=program, ticks=100_000) as other:

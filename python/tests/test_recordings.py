@@ -55,6 +55,27 @@ def test_a_calibration_is_that_of_the_program_and_is_used_alike(program, ranges,
     assert rh.track(ranges, calibration=out / "calibration.toml").digest == json.loads(done.stdout)["digest"]
 
 
+def test_the_bytes_of_a_file_that_is_read_are_shown(ranges):
+    size = os.path.getsize(ranges)
+    keys = json.dumps({"recording": {"ranges": str(ranges)}})
+    found = rh.calibrate(ranges)
+    ways = [
+        lambda show: rh._native.Scenario(keys=keys, progress=show),
+        lambda show: rh._native.calibrated(keys, found.to_toml(), reading=show),
+        lambda show: rh._native.calibrate(keys, reading=show),
+    ]
+    for way in ways:
+        shown = []
+        way(lambda *bytes_read: shown.append(bytes_read))
+        assert shown == sorted(set(shown)) and shown[-1] == (size, size)
+
+    def refuse(*_):
+        raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError):
+        ways[0](refuse)
+
+
 def test_an_interrupt_ends_a_calibration_and_its_thread(python):
     script = (
         "import numpy as np, rangehound as rh, os, pathlib, signal, threading\n"

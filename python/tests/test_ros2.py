@@ -390,8 +390,8 @@ def test_a_late_node_publishes_what_has_been_and_all_that_it_says_is_in_the_bag(
         for tick in run.attach():
             if tick.tick >= 300:
                 break
-        ears = listener(ros, **topics)
-        watched = node(ros, name, "--from-start")
+        ears = listener(ros, rangehound__markers="visualization_msgs/MarkerArray", **topics)
+        watched = node(ros, name, "--from-start", "--ros-args", "-p", "markers_rate_hz:=1000.0")
         run.report()
     ended(watched)
     got = heard(ears)
@@ -401,19 +401,27 @@ def test_a_late_node_publishes_what_has_been_and_all_that_it_says_is_in_the_bag(
     stamps = [round((seconds(pose) - 1.0) / 0.02) for pose in got["/target/pose"]]
     assert stamps[:301] == list(range(301)) and stamps == list(range(len(live)))
     del got["now_s"]
-    recorded = {topic: [] for topic in got}
+    marked = got.pop("/rangehound/markers")
+    recorded = {topic: [] for topic in [*got, "/rangehound/markers"]}
     with rosbags.AnyReader([tmp_path / "bag"]) as reader:
         for connection, _, raw in reader.messages():
             if connection.topic in recorded:
                 recorded[connection.topic].append(plain(reader.deserialize(raw, connection.msgtype)))
     for topic, messages in got.items():
         assert messages and messages == recorded[topic], topic
+    # The node has the newest markers alone; the bag has those of each fifth tick.
+    drawn = {seconds(message["markers"][0]): message for message in recorded["/rangehound/markers"]}
+    both = [message for message in marked if seconds(message["markers"][0]) in drawn]
+    assert both and all(message == drawn[seconds(message["markers"][0])] for message in both)
 
 
 def plain(value):
     """A message of rosbags as the listener has it."""
     if hasattr(value, "__msgtype__"):
-        return {key: plain(one) for key, one in vars(value).items() if not key.startswith("__")}
+        # Constants are in capitals.
+        return {key: plain(one) for key, one in vars(value).items() if not key.startswith("__") and not key.isupper()}
+    if isinstance(value, list):
+        return [plain(one) for one in value]
     return value.tolist() if isinstance(value, np.ndarray) else value
 
 
@@ -433,10 +441,9 @@ def test_diagnostics_tell_who_is_gone_and_what_was_rejected(program, name, ros, 
             # Diagnostics come once in a second.
             if tick.tick >= killed_at + 60:
                 break
-        # A run that is stopped does not end what it has not started.
-        other.terminate()
-        other.wait()
         run.stop()
+        # What others have started ends with the run.
+        assert other.wait(timeout=60) == 0
         ended(watched)
     statuses = [status for message in heard(ears)["/diagnostics"] for status in message["status"]]
     robots = [status for status in statuses if status["name"] == "rangehound: robot-1"]
@@ -444,4 +451,5 @@ def test_diagnostics_tell_who_is_gone_and_what_was_rejected(program, name, ros, 
     assert any(status["level"] == [0] for status in statuses if status["name"] == "rangehound: robot-0")
     estimates = [{pair["key"]: pair["value"] for pair in status["values"]} for status in statuses if status["name"] == "rangehound: estimate" and status["values"]]
     assert float(estimates[-1]["range to heading, us"]) > 0 and int(estimates[-1]["missing"]) >= 1
+    assert "1" in estimates[-1]["silent robots"].split()
     assert max(int(estimate["rejected in the last second"]) for estimate in estimates) > 0

@@ -103,7 +103,7 @@ def test_a_client_gets_what_the_file_has_and_the_server_ends_with_the_run(foxglo
             run.stop()
             rest = received(client, channels)
         assert server.wait() == 0, server.stderr.read()
-        with pytest.raises(rh.RunError, match="as asked"):
+        with pytest.raises(rh.RunError, match="stopped before its last tick"):
             run.report()
     live, times = live + rest[0], times + rest[1]
     in_file, messages = recorded(tmp_path / "out/run.mcap")
@@ -183,7 +183,7 @@ def test_a_run_in_rerun_has_estimates_field_and_both_timelines(command, root, na
         run.stop()
         out, err = viewer.communicate()
         assert (viewer.returncode, out) == (0, ""), err
-        with pytest.raises(rh.RunError, match="as asked"):
+        with pytest.raises(rh.RunError, match="stopped before its last tick"):
             run.report()
     finished = rh.load(tmp_path / "out")
     columns = {}

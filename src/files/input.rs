@@ -19,6 +19,7 @@ use rangehound_shared::scenario::{RecordingTable, Scenario, ScenarioError, Scena
 use crate::failure::Failure;
 use crate::files::bag::table::{BagTable, Selection};
 use crate::files::bag::{self, Fault};
+use crate::files::bytes_read::BytesRead;
 
 /// Stands in errors about flags for the name of the scenario file.
 pub const COMMAND_LINE: &str = "the command line";
@@ -64,7 +65,20 @@ pub fn scenario_file(path: &Path) -> Result<ScenarioFile, Failure> {
 /// # Errors
 /// [`ScenarioError`] for the first fault.
 pub fn scenario(raw: &ScenarioFile, file: &str, folder: &Path) -> Result<Scenario, ScenarioError> {
-    Scenario::from_file_with(raw, file, |table| recording_of(table, file, folder))
+    scenario_with(raw, file, folder, &BytesRead::default())
+}
+
+/// As [`scenario`], for a caller that shows how much of the recording has been read.
+///
+/// # Errors
+/// As [`scenario`].
+pub fn scenario_with(
+    raw: &ScenarioFile,
+    file: &str,
+    folder: &Path,
+    bytes: &BytesRead,
+) -> Result<Scenario, ScenarioError> {
+    Scenario::from_file_with(raw, file, |table| recording_of_with(table, file, folder, bytes))
 }
 
 /// Reads the recording that a scenario names, with its anchors: a file, a pipe, or `-` for standard input. `file` names the
@@ -76,6 +90,19 @@ pub fn recording_of(
     table: &RecordingTable,
     file: &str,
     folder: &Path,
+) -> Result<(Recording, ReadSummary), ScenarioError> {
+    recording_of_with(table, file, folder, &BytesRead::default())
+}
+
+/// As [`recording_of`], for a caller that shows how much of the recording has been read.
+///
+/// # Errors
+/// As [`recording_of`].
+pub fn recording_of_with(
+    table: &RecordingTable,
+    file: &str,
+    folder: &Path,
+    bytes: &BytesRead,
 ) -> Result<(Recording, ReadSummary), ScenarioError> {
     let Some(ranges) = table.ranges_path(folder) else {
         return Err(ScenarioError::WrongValue {
@@ -91,7 +118,7 @@ pub fn recording_of(
     let columns = if is_bag { &ColumnMap::default() } else { &options.columns };
     options.anchors = table.anchors_path(folder).map(|path| anchors(&path, columns)).transpose()?;
     if is_bag {
-        return Ok(bag_recording(&ranges, table, folder, options)?);
+        return Ok(bag_recording(&ranges, table, folder, options, bytes)?);
     }
     let of_bag =
         [("topic", table.topic.is_some()), ("position", table.position.is_some()), ("msg", table.msg.is_some())];
@@ -103,7 +130,7 @@ pub fn recording_of(
             got: "given".to_owned(),
         });
     }
-    Ok(recording(&ranges, &options)?)
+    Ok(recording(&ranges, &options, bytes)?)
 }
 
 /// Reads the measurements of a bag.
@@ -112,6 +139,7 @@ fn bag_recording(
     table: &RecordingTable,
     folder: &Path,
     mut options: ReadOptions,
+    bytes: &BytesRead,
 ) -> Result<(Recording, ReadSummary), RecordingError> {
     let definitions = definitions(table.msg.as_deref().unwrap_or_default(), folder)?;
     let refused = |fault: Fault| RecordingError::of_file(path, fault.wrong, fault.hint);
@@ -125,7 +153,7 @@ fn bag_recording(
         definitions: &definitions,
         has_anchors: options.anchors.is_some(),
     };
-    let read = BagTable::read(path, &selection).map_err(refused)?;
+    let read = BagTable::read(path, &selection, bytes).map_err(refused)?;
     options.columns = read.map.clone();
     let (recording, mut summary) = Recording::parse(read.text(), path, &options)?;
     // The table's separator is not the user's.
@@ -166,9 +194,14 @@ fn definitions(given: &[String], folder: &Path) -> Result<Vec<(String, String)>,
 ///
 /// # Errors
 /// [`RecordingError`] for the first fault.
-pub fn recording(path: &Path, options: &ReadOptions) -> Result<(Recording, ReadSummary), RecordingError> {
+pub fn recording(
+    path: &Path,
+    options: &ReadOptions,
+    bytes: &BytesRead,
+) -> Result<(Recording, ReadSummary), RecordingError> {
     let Input { reader, name } = open(path)?;
-    Recording::parse(reader, &name, options)
+    bytes.expect(std::fs::metadata(path).map_or(0, |found| found.len()));
+    Recording::parse(bytes.count(reader), &name, options)
 }
 
 /// Reads a file of anchors.
@@ -257,7 +290,7 @@ mod tests {
     fn a_file_that_is_not_there_is_named() {
         let missing = Path::new("/nonexistent/r.csv");
         let errors = [
-            recording(missing, &ReadOptions::default()).unwrap_err(),
+            recording(missing, &ReadOptions::default(), &BytesRead::default()).unwrap_err(),
             anchors(missing, &ColumnMap::default()).unwrap_err(),
             track(missing).unwrap_err(),
         ];

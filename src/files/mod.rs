@@ -3,6 +3,7 @@
 //! | module | what |
 //! |---|---|
 //! | [`input`] | scenarios, recordings, anchors, true tracks |
+//! | [`bytes_read`] | how much of an input has been read |
 //! | [`bag`] | ROS 2 bags as recordings and true tracks |
 //! | [`calibration`] | `calibration.toml` |
 //! | [`layout`] | the files in result folders |
@@ -12,6 +13,7 @@
 
 pub mod atomic_file;
 pub mod bag;
+pub mod bytes_read;
 pub mod calibration;
 pub mod input;
 pub mod layout;

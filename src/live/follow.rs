@@ -2,7 +2,7 @@
 
 use std::time::{Duration, Instant};
 
-use rangehound_node::rendezvous::{ENDING_NOTE, Rendezvous, Role};
+use rangehound_node::rendezvous::{Rendezvous, Role};
 use rangehound_node::system::signal::Termination;
 use rangehound_shared::message::Estimate;
 use serde_json::Value;
@@ -83,7 +83,7 @@ pub(super) fn follow(run: &Rendezvous, server: &Server, termination: &Terminatio
 fn is_ending(run: &Rendezvous) -> bool {
     let asked = Instant::now();
     loop {
-        if run.note(ENDING_NOTE).is_some() {
+        if run.is_ending() {
             return true;
         }
         // A run started by hand has no supervisor to report it.

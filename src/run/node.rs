@@ -42,7 +42,16 @@ pub fn fusion(name: &RunName, stands_by: bool, parent: Option<u32>) -> Result<()
     let termination = prepare(Role::Fusion, parent)?;
     let rendezvous = join(name, &termination)?;
     let run = if stands_by { rangehound_node::fusion::run_standby } else { rangehound_node::fusion::run };
-    run(&rendezvous, &termination).map_err(|error| of_fusion(&rendezvous, error))
+    run(&rendezvous, &termination).map_err(|error| of_fusion(&rendezvous, error))?;
+    tell_of_early_end(&rendezvous, Role::Fusion, &termination);
+    Ok(())
+}
+
+/// Tells why a node ends that others have started, if its run is ended before its last tick.
+fn tell_of_early_end(rendezvous: &Rendezvous, role: Role, termination: &Termination) {
+    if rendezvous.is_ending() && !rendezvous.is_finished() && !termination.requested() {
+        failure::print_stderr(format!("run {} was ended before its last tick: {role} ends too", rendezvous.name()));
+    }
 }
 
 /// The failure of a fusion centre that ended early.
@@ -63,7 +72,9 @@ pub fn of_fusion(rendezvous: &Rendezvous, error: FusionError) -> Failure {
 pub fn robot(name: &RunName, id: usize, parent: Option<u32>) -> Result<(), Failure> {
     let termination = prepare(Role::Robot(id), parent)?;
     let rendezvous = join(name, &termination)?;
-    rangehound_node::robot::run(&rendezvous, id, &termination).map_err(|error| of_robot(&rendezvous, error))
+    rangehound_node::robot::run(&rendezvous, id, &termination).map_err(|error| of_robot(&rendezvous, error))?;
+    tell_of_early_end(&rendezvous, Role::Robot(id), &termination);
+    Ok(())
 }
 
 /// The failure of a robot that ended early.

@@ -6,7 +6,7 @@ use anyhow::anyhow;
 use rangehound_fusion::standby::STANDBYS_MAX;
 use rangehound_node::gateway_note::{GatewayNote, GuestNote, RobotOrder};
 use rangehound_node::logs;
-use rangehound_node::rendezvous::{ENDING_NOTE, Holder, Process, Rendezvous, Role, living_runs};
+use rangehound_node::rendezvous::{Holder, Process, Rendezvous, Role, living_runs};
 use rangehound_shared::run_name::RunName;
 use rustix::process::{Pid, Signal};
 use serde::Serialize;
@@ -327,7 +327,7 @@ impl Status {
         let log = logs::read_worlds(description).ok();
         let tick = log.and_then(|log| log.newest_tick().ok()?).unwrap_or(0);
         let roster = run.roster();
-        let is_ending = run.is_finished() || run.note(ENDING_NOTE).is_some();
+        let is_ending = run.is_finished() || run.is_ending();
         // One that leads now stood by before: its place then is not worth a line.
         let standbys: Vec<Role> = (1..=STANDBYS_MAX).map(Role::Standby).filter(|role| roster.is_held(*role)).collect();
         let gateway = Some(Role::Gateway).filter(|role| roster.starts(*role) > 0);

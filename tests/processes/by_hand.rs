@@ -134,6 +134,29 @@ fn a_supervised_run_leaves_fusion_to_others() {
 }
 
 #[test]
+fn nodes_that_others_have_started_end_with_a_run_that_is_stopped() {
+    for is_by_command in [true, false] {
+        let run = Run::new();
+        let words = "--timeout forever --ticks 1000000 --robots 2 --planner greedy --external fusion,1";
+        let supervisor = run.lockstep(words);
+        let others = ["robot --id 1", "fusion", "fusion --standby"].map(|words| run.node(words));
+        run.wait_for_ticks(50);
+        if is_by_command {
+            run.node("stop").finish().succeeded();
+        } else {
+            supervisor.signal(Signal::INT);
+        }
+        let stopped = supervisor.finish();
+        assert!(stopped.code == Some(1) && stopped.stderr.contains("rangehound resume"), "{stopped:#?}");
+        for other in others {
+            let ended = other.finish();
+            assert!(ended.code == Some(0) && ended.stderr.contains("was ended before its last tick"), "{ended:#?}");
+        }
+        run.assert_nothing_left();
+    }
+}
+
+#[test]
 fn a_resumed_run_leaves_the_same_robots_to_others() {
     let words = "--ticks 20000 --robots 3 --seed 4 --planner standard";
     let run = Run::new();

@@ -4,8 +4,10 @@ use std::collections::BTreeMap;
 use std::fs::File;
 use std::path::Path;
 
-use rangehound::files::bag::cdr::Writer;
+use rangehound::files::bag::cdr::{self, Writer};
+use rangehound::files::bag::definition::Types;
 use rangehound::files::bag::interfaces;
+use rangehound::files::bag::path::Path as FieldPath;
 use rusqlite::Connection;
 use serde_json::Value;
 
@@ -162,6 +164,7 @@ fn a_runs_own_bag_is_tracked_as_the_run_is() {
         "version: 9",
         "name: /target/truth",
         "name: /robot_2/range",
+        "name: /rangehound/markers",
         "message_count: 301",
         "RIHS01_",
         "stamp_minus_run_time_ns: \"1000000000\"",
@@ -185,6 +188,68 @@ fn a_runs_own_bag_is_tracked_as_the_run_is() {
     let of_file = report("HEREbag/bag_0.mcap --topic /robot_*/range --position /robot_*/pose:pose.pose", "");
     assert_eq!(of_file.0["digest"], of_bag.0["digest"]);
     run.assert_nothing_left();
+}
+
+#[test]
+fn markers_and_diagnostics_of_a_bag_are_those_of_the_estimate() {
+    let run = Run::new();
+    run.write("s.toml", "ticks = 255\ndt_s = 0.1\n[filter]\ngate_sigma = 1.0\ndistrust = false\n[robots]\ncount = 3\n");
+    run.command("run s.toml --clock lockstep --in-process").finish().succeeded();
+    assert_eq!(run.start(&["record", "out", "--ros2", "bag"]).finish().code, Some(0));
+    let bytes = std::fs::read(run.path("bag/bag_0.mcap")).unwrap();
+    let of_topic = |topic: &str, paths: &[&str]| -> Vec<Vec<Value>> {
+        let messages = mcap::MessageStream::new(&bytes).unwrap().map(Result::unwrap);
+        let messages = messages.filter(|message| message.channel.topic == topic);
+        messages
+            .map(|message| {
+                let schema = message.channel.schema.as_ref().unwrap();
+                let types = Types::parse(&schema.name, std::str::from_utf8(&schema.data).unwrap()).unwrap();
+                let mut values = Vec::new();
+                for path in paths {
+                    cdr::read(&types, &message.data, &FieldPath::parse(&types, path).unwrap(), &mut values).unwrap();
+                }
+                values.iter().map(|value| value.text().parse().unwrap_or_else(|_| value.text().into())).collect()
+            })
+            .collect()
+    };
+    let number = |value: &Value| value.as_f64().unwrap();
+
+    let rows: Vec<Vec<f64>> = run
+        .read("estimate.csv")
+        .lines()
+        .skip(1)
+        .map(|row| row.split(',').map(|cell| cell.parse().unwrap()).collect())
+        .collect();
+    let ellipse =
+        ["pose.position.x", "pose.position.y", "scale.x", "scale.y"].map(|field| format!("markers[0].{field}"));
+    let drawn = of_topic("/rangehound/markers", &ellipse.each_ref().map(String::as_str));
+    assert_eq!((drawn.len(), rows.len()), (256, 256));
+    for (row, drawn) in rows.iter().zip(&drawn) {
+        let [x_m, y_m, long_m, short_m] = [0, 1, 2, 3].map(|index| number(&drawn[index]));
+        assert_eq!([x_m, y_m], [row[1], row[2]]);
+        // Six standard deviations: the axes have the trace and the determinant of the covariance.
+        let [xx, xy, yy] = [row[5], row[6], row[7]];
+        let [long, short] = [long_m, short_m].map(|axis_m| axis_m * axis_m / 36.0);
+        assert!(((long + short) / (xx + yy) - 1.0).abs() < 1e-9 && long >= short, "{row:?} {drawn:?}");
+        assert!((long * short / (xx * yy - xy * xy) - 1.0).abs() < 1e-6, "{row:?} {drawn:?}");
+    }
+
+    let told = of_topic("/diagnostics", &["status[0].name", "status[0].values[].key", "status[0].values[].value"]);
+    // Once in a second of the run, and at its end.
+    assert_eq!(told.len(), 27);
+    let of = |told: &[Value], key: &str| {
+        let place = told.iter().position(|text| text == key).unwrap_or_else(|| panic!("{key}: {told:?}"));
+        told[place + (told.len() - 1) / 2].clone()
+    };
+    assert!(
+        told.iter().all(|told| told[0] == "rangehound: estimate" && of(told, "silent robots") == "none"),
+        "{told:?}"
+    );
+    let ticks: Vec<f64> = told.iter().map(|told| number(&of(told, "tick"))).collect();
+    assert_eq!((&ticks[..3], ticks[26]), (&[0.0, 10.0, 20.0][..], 255.0));
+    let rejected: f64 = told.iter().map(|told| number(&of(told, "rejected in the last second"))).sum();
+    let report = run.report();
+    assert!(rejected > 0.0 && rejected == number(&report["ranges"]["rejected"]), "{rejected}: {}", report["ranges"]);
 }
 
 #[test]

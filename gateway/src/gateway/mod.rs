@@ -16,7 +16,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use rangehound_node::bus::{self, BusError, Event, Events, IDLE, WaitGroup};
-use rangehound_node::rendezvous::{ENDING_NOTE, Rendezvous, RendezvousError, Role, RoleLease};
+use rangehound_node::rendezvous::{Rendezvous, RendezvousError, Role, RoleLease};
 use rangehound_node::system::clock::{monotonic_ns, until};
 use rangehound_node::system::signal::Termination;
 use tokio::sync::mpsc::{self, Receiver, Sender};
@@ -131,7 +131,7 @@ pub fn run(
             // The roles are free before the robots know that the gateway ends.
             drop(guests);
             // A run that was stopped is over for the robots too; one that lost its gateway is not.
-            if rendezvous.is_finished() || rendezvous.note(ENDING_NOTE).is_some() {
+            if rendezvous.is_finished() || rendezvous.is_ending() {
                 let _ = finished.send(true);
                 let _ = tokio::time::timeout(FAREWELL, finished.closed()).await;
             }

@@ -369,6 +369,12 @@ impl Rendezvous {
         std::fs::remove_file(self.place.path(name)).ok().map(|()| text)
     }
 
+    /// True if its supervisor ends the run. It sends a signal to the nodes that it has started; the others look for this.
+    #[must_use]
+    pub fn is_ending(&self) -> bool {
+        self.place.path(ENDING_NOTE).exists()
+    }
+
     /// Marks the run as ended.
     ///
     /// # Errors

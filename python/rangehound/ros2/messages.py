@@ -43,14 +43,6 @@ class Target(NamedTuple):
     velocity_covariance: Array
 
 
-class Ellipse(NamedTuple):
-    """An ellipse: direction of its long axis, and its half axes."""
-
-    yaw_rad: float
-    long_m: float
-    short_m: float
-
-
 def stamp_of(time_s: float, offset_ns: int = 0) -> tuple[int, int]:
     """Seconds and nanoseconds of a time with an offset. A time that a stamp cannot hold is its nearest one."""
     if math.isnan(time_s):
@@ -76,15 +68,3 @@ def robot_pose(position_m: Array, height_m: float, covariance_m2: Array, heading
     """The pose of a robot as it reported it: position (2,), height, covariance (2, 2), heading."""
     place_m = float(position_m[0]), float(position_m[1]), float(height_m)
     return Planar(*_native.ros_robot(place_m, covariance_m2, float(heading_rad), float(heading_std_rad)))
-
-
-def ellipse_of(covariance_m2: Array, sigma: float) -> Ellipse:
-    """The ellipse of a position's covariance, (2, 2), at so many standard deviations."""
-    variances, directions = np.linalg.eigh(covariance_m2)
-    short_m, long_m = sigma * np.sqrt(np.maximum(variances, 0.0))
-    return Ellipse(math.atan2(directions[1, 1], directions[0, 1]), float(long_m), float(short_m))
-
-
-def latency_s(last_range_ns: int, sent_ns: int) -> float:
-    """Time from a tick's last range to its headings, s; NaN if it was not taken."""
-    return (sent_ns - last_range_ns) * 1e-9 if 0 < last_range_ns <= sent_ns else math.nan

@@ -28,6 +28,9 @@ _RESTART_S = 1.0
 #: How long robots' processes may take to end after the run, s.
 _LAST_WORDS_S = 5.0
 
+#: A measurement whose sensor is distrusted, in `range_used` and `bearing_used`.
+_DISTRUSTED = 3
+
 #: Niceness of the thread that publishes.
 _NICE = 10
 
@@ -165,7 +168,7 @@ class Node:
         self._twists = {robot: topic(twist, f"robot_{robot}/cmd_vel", base_frames[robot]) for robot in self._simulated if not facts["is_recording"]}
         self._led_by_others: set[int] = set()
         self._frames = self._made_frames(map_frame, target_frame, base_frames) if with_tf else None
-        self._markers, self._marked_s, self._marker_interval_s = self._made_markers(map_frame, count), -math.inf, 1.0 / rate_hz if rate_hz > 0.0 else math.inf
+        self._markers, self._marked_s, self._marker_interval_s = self._made_markers(map_frame), -math.inf, 1.0 / rate_hz if rate_hz > 0.0 else math.inf
         self._clock = None
         if is_simulated_time:
             clock = message_type("rosgraph_msgs", "Clock", "/clock", needed=True)
@@ -191,16 +194,15 @@ class Node:
             transform.child_frame_id = frame
         return self._session.publisher(message, "/tf", QoSProfile(depth=100)), message(), transforms
 
-    def _made_markers(self, map_frame: str, count: int) -> Any:
+    def _made_markers(self, map_frame: str) -> Any:
         array = message_type("visualization_msgs", "MarkerArray", "rangehound/markers")
         if array is None:
             return None
         from geometry_msgs.msg import Point
         from rclpy.qos import QoSProfile
-        from std_msgs.msg import ColorRGBA
         from visualization_msgs.msg import Marker
 
-        markers = Markers((array, Marker, Point, ColorRGBA), map_frame, count)
+        markers = Markers((array, Marker, Point), map_frame)
         return self._session.publisher(array, "rangehound/markers", QoSProfile(depth=1)), markers
 
     def _made_diagnostics(self, qos: Any) -> Any:
@@ -324,16 +326,14 @@ class Node:
         if tick is None:
             yield diagnostic(types, "rangehound: estimate", 1, "no estimate yet", {})
             return
-        distrusted = [robot for robot, used in enumerate(tick.range_used) if used == 3]
         rejected, self._rejected = self._rejected, 0
-        latency_s = messages.latency_s(int(tick.last_range_ns), int(tick.sent_ns))
-        values = {
-            "tick": int(tick.tick), "ticks": status["ticks"], "fused": int(tick.fused), "missing": int(tick.missing),
-            "rejected in the last second": rejected, "distrusted robots": " ".join(map(str, distrusted)) or "none",
-            "range to heading, us": round(latency_s * 1e6, 1), "position trace, m^2": round(float(np.trace(tick.covariance[:2, :2])), 6),
-        }
-        is_well = not rejected and not distrusted and not tick.missing
-        yield diagnostic(types, "rangehound: estimate", 0 if is_well else 1, "all fused" if is_well else "measurements are missing or rejected", values)
+        level, name, message, pairs = _native.ros_status(
+            tick=int(tick.tick), ticks=status["ticks"], fused=int(tick.fused), missing=int(tick.missing), rejected=rejected,
+            silent=np.flatnonzero(np.isnan(tick.believed_m).any(axis=1)).tolist(),
+            distrusted=np.flatnonzero((tick.range_used == _DISTRUSTED) | (tick.bearing_used == _DISTRUSTED)).tolist(),
+            sent_ns=[int(tick.last_range_ns), int(tick.sent_ns)], trace_m2=float(np.trace(tick.covariance[:2, :2])),
+        )
+        yield diagnostic(types, name, level, message, dict(pairs))
 
 
 class Team:

@@ -53,6 +53,18 @@ pub const TRANSFORMS: Interface = Interface {
     hash: "RIHS01_e369d0f05a23ae52508854b66f6aa0437f3449d652e8cbf22d5abe85d020f087",
 };
 
+/// What RViz draws. Distributions before Humble have fewer fields.
+pub const MARKERS: Interface = Interface {
+    name: "visualization_msgs/msg/MarkerArray",
+    hash: "RIHS01_86cb8800b6fb05b5eff1abd7a56f62a5641d3ae9a1c29e78e67e704f1d067dcf",
+};
+
+/// How parts of a system are.
+pub const DIAGNOSTICS: Interface = Interface {
+    name: "diagnostic_msgs/msg/DiagnosticArray",
+    hash: "RIHS01_5a8a36efb05fb25070fa0fb3810290c0e6cd4862b54a8fb975a1ee8dc55a333e",
+};
+
 impl Interface {
     /// Its definition with those of all types in it, as bags hold it.
     #[must_use]
@@ -75,9 +87,16 @@ pub fn definition(name: &str) -> Option<&'static str> {
     DEFINITIONS.iter().find(|(known, _)| *known == name).map(|(_, text)| *text)
 }
 
-const DEFINITIONS: [(&str, &str); 31] = [
+const DEFINITIONS: [(&str, &str); 40] = [
     ("builtin_interfaces/Duration", "int32 sec\nuint32 nanosec\n"),
     ("builtin_interfaces/Time", "int32 sec\nuint32 nanosec\n"),
+    ("diagnostic_msgs/DiagnosticArray", "std_msgs/Header header\nDiagnosticStatus[] status\n"),
+    (
+        "diagnostic_msgs/DiagnosticStatus",
+        "byte OK=0\nbyte WARN=1\nbyte ERROR=2\nbyte STALE=3\nbyte level\nstring name\nstring message\nstring hardware_id\n\
+         KeyValue[] values\n",
+    ),
+    ("diagnostic_msgs/KeyValue", "string key\nstring value\n"),
     ("geometry_msgs/Point", "float64 x\nfloat64 y\nfloat64 z\n"),
     ("geometry_msgs/PointStamped", "std_msgs/Header header\nPoint point\n"),
     ("geometry_msgs/Pose", "Point position\nQuaternion orientation\n"),
@@ -98,11 +117,13 @@ const DEFINITIONS: [(&str, &str); 31] = [
         "std_msgs/Header header\nstring child_frame_id\ngeometry_msgs/PoseWithCovariance pose\n\
          geometry_msgs/TwistWithCovariance twist\n",
     ),
+    ("sensor_msgs/CompressedImage", "std_msgs/Header header\nstring format\nuint8[] data\n"),
     (
         "sensor_msgs/Range",
         "std_msgs/Header header\nuint8 ULTRASOUND=0\nuint8 INFRARED=1\nuint8 radiation_type\nfloat32 field_of_view\n\
          float32 min_range\nfloat32 max_range\nfloat32 range\nfloat32 variance\n",
     ),
+    ("std_msgs/ColorRGBA", "float32 r\nfloat32 g\nfloat32 b\nfloat32 a\n"),
     ("std_msgs/Float32", "float32 data\n"),
     ("std_msgs/Float32MultiArray", "MultiArrayLayout layout\nfloat32[] data\n"),
     ("std_msgs/Float64", "float64 data\n"),
@@ -115,6 +136,19 @@ const DEFINITIONS: [(&str, &str); 31] = [
     ("std_msgs/UInt16", "uint16 data\n"),
     ("std_msgs/UInt32", "uint32 data\n"),
     ("tf2_msgs/TFMessage", "geometry_msgs/TransformStamped[] transforms\n"),
+    (
+        "visualization_msgs/Marker",
+        "int32 ARROW=0\nint32 CUBE=1\nint32 SPHERE=2\nint32 CYLINDER=3\nint32 LINE_STRIP=4\nint32 LINE_LIST=5\nint32 CUBE_LIST=6\n\
+         int32 SPHERE_LIST=7\nint32 POINTS=8\nint32 TEXT_VIEW_FACING=9\nint32 MESH_RESOURCE=10\nint32 TRIANGLE_LIST=11\n\
+         int32 ARROW_STRIP=12\nint32 ADD=0\nint32 MODIFY=0\nint32 DELETE=2\nint32 DELETEALL=3\nstd_msgs/Header header\nstring ns\n\
+         int32 id\nint32 type\nint32 action\ngeometry_msgs/Pose pose\ngeometry_msgs/Vector3 scale\nstd_msgs/ColorRGBA color\n\
+         builtin_interfaces/Duration lifetime\nbool frame_locked\ngeometry_msgs/Point[] points\nstd_msgs/ColorRGBA[] colors\n\
+         string texture_resource\nsensor_msgs/CompressedImage texture\nUVCoordinate[] uv_coordinates\nstring text\n\
+         string mesh_resource\nMeshFile mesh_file\nbool mesh_use_embedded_materials\n",
+    ),
+    ("visualization_msgs/MarkerArray", "Marker[] markers\n"),
+    ("visualization_msgs/MeshFile", "string filename\nuint8[] data\n"),
+    ("visualization_msgs/UVCoordinate", "float32 u\nfloat32 v\n"),
 ];
 
 #[cfg(test)]
@@ -126,7 +160,8 @@ mod tests {
         for (name, text) in DEFINITIONS {
             Types::parse(name, text).unwrap();
         }
-        for interface in [POSE_WITH_COVARIANCE, POSE, ODOMETRY, TWIST, RANGE, VECTOR, TRANSFORMS] {
+        for interface in [POSE_WITH_COVARIANCE, POSE, ODOMETRY, TWIST, RANGE, VECTOR, TRANSFORMS, MARKERS, DIAGNOSTICS]
+        {
             let text = interface.text();
             assert!(!text.is_empty() && Types::parse(interface.name, &text).is_ok(), "{text}");
             assert_eq!(text.matches("MSG: ").count() + 1, Types::parse(interface.name, &text).unwrap().names().count());

@@ -14,6 +14,7 @@ use super::definition::{ROOT, Types, short};
 use super::selection::{Pattern, TopicField, patterns};
 use super::storage::{self, Sink, Topic};
 use super::{Fault, interfaces};
+use crate::files::bytes_read::BytesRead;
 use fields::{Measures, Place, Stamp};
 use text::Text;
 
@@ -116,7 +117,7 @@ impl BagTable {
     ///
     /// # Errors
     /// [`Fault`] of the bag, or of the choice.
-    pub fn read(path: &Path, selection: &Selection<'_>) -> Result<Self, Fault> {
+    pub fn read(path: &Path, selection: &Selection<'_>, bytes: &BytesRead) -> Result<Self, Fault> {
         let none = ColumnMap::default();
         let mut reading = Reading::new(selection.columns.unwrap_or(&none), selection.definitions);
         reading.wanted = selection.topic.map(patterns).transpose()?.unwrap_or_default();
@@ -135,7 +136,7 @@ impl BagTable {
             // The topics are listed.
             reading.position = None;
         }
-        storage::read(path, &mut reading)?;
+        storage::read(path, &mut reading, bytes)?;
         reading.into_table(selection.has_anchors)
     }
 
@@ -153,7 +154,7 @@ pub fn read_track(path: &Path, topic: &str, definitions: &[(String, String)]) ->
     let none = ColumnMap::default();
     let mut reading = Reading::new(&none, definitions);
     reading.position = Some(TopicField::parse(topic)?);
-    storage::read(path, &mut reading)?;
+    storage::read(path, &mut reading, &BytesRead::default())?;
     reading.check_topics()?;
     let mut fixes: Vec<Fix> = reading.fixes.into_values().flatten().collect();
     fixes.sort_by_key(|fix| fix.time_ns);

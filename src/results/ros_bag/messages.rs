@@ -5,6 +5,8 @@ use rangehound_shared::message::Command;
 
 use crate::files::bag::cdr::Writer;
 use crate::files::bag::interfaces::{self, Interface};
+use crate::results::ros_bag::diagnostics::Status;
+use crate::results::ros_bag::markers::Marker;
 use crate::results::ros_bag::planar::{Moving, Placed};
 
 /// The frame of all positions.
@@ -12,6 +14,10 @@ const MAP: &str = "map";
 
 /// The frame of the target.
 const TARGET: &str = "target";
+
+/// What a marker is to do: stay until the next one of its name, or go.
+const ADD: i32 = 0;
+const DELETE: i32 = 2;
 
 /// A topic of the bag; those of robots with the robot's id.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
@@ -24,6 +30,10 @@ pub enum Topic {
     Truth,
     /// The frames of target and robots.
     Frames,
+    /// What RViz draws.
+    Markers,
+    /// How the run is.
+    Diagnostics,
     /// Where a robot says it is.
     Pose(usize),
     /// The range that it measured.
@@ -45,6 +55,8 @@ impl Topic {
             Self::TargetOdometry => "/target/odom".to_owned(),
             Self::Truth => "/target/truth".to_owned(),
             Self::Frames => "/tf".to_owned(),
+            Self::Markers => "/rangehound/markers".to_owned(),
+            Self::Diagnostics => "/diagnostics".to_owned(),
             Self::Pose(robot) => format!("/robot_{robot}/pose"),
             Self::Range(robot) => format!("/robot_{robot}/range"),
             Self::Bearing(robot) => format!("/robot_{robot}/bearing"),
@@ -61,6 +73,8 @@ impl Topic {
             Self::TargetOdometry => interfaces::ODOMETRY,
             Self::Truth => interfaces::POSE,
             Self::Frames => interfaces::TRANSFORMS,
+            Self::Markers => interfaces::MARKERS,
+            Self::Diagnostics => interfaces::DIAGNOSTICS,
             Self::Range(_) => interfaces::RANGE,
             Self::Bearing(_) => interfaces::VECTOR,
             Self::Twist(_) | Self::Velocity(_) => interfaces::TWIST,
@@ -151,6 +165,67 @@ impl Messages {
         }
     }
 
+    /// `visualization_msgs/MarkerArray`.
+    pub fn markers(&mut self, markers: &[Marker]) {
+        self.out.begin();
+        self.out.u32(markers.len() as u32);
+        for marker in markers {
+            self.marker(marker);
+        }
+    }
+
+    fn marker(&mut self, marker: &Marker) {
+        let Marker { namespace, id, shape, is_shown, position_m: [x_m, y_m], yaw_rad, .. } = *marker;
+        self.header(MAP);
+        self.out.text(namespace);
+        for number in [id as i32, shape as i32, if is_shown { ADD } else { DELETE }] {
+            self.out.i32(number);
+        }
+        self.pose([x_m, y_m, 0.0], yaw_rad);
+        self.out.f64s(&marker.scale_m);
+        marker.colour.iter().for_each(|part| self.out.f32(*part));
+        // Without an end.
+        self.out.i32(0);
+        self.out.u32(0);
+        // Placed once.
+        self.out.u8(0);
+        self.out.u32(marker.points_m.len() as u32);
+        for [x_m, y_m] in &marker.points_m {
+            self.out.f64s(&[*x_m, *y_m, 0.0]);
+        }
+        // No colours of single points.
+        self.out.u32(0);
+        // No texture: its resource; the stamp, frame, format and bytes of its image; its coordinates.
+        self.out.text("");
+        self.out.i32(0);
+        self.out.u32(0);
+        self.out.text("");
+        self.out.text("");
+        self.out.u32(0);
+        self.out.u32(0);
+        // No text, and no mesh: its resource; the name and the bytes of its file; its materials.
+        self.out.text("");
+        self.out.text("");
+        self.out.text("");
+        self.out.u32(0);
+        self.out.u8(0);
+    }
+
+    /// `diagnostic_msgs/DiagnosticArray` of one status.
+    pub fn diagnostics(&mut self, status: &Status) {
+        self.begin("");
+        self.out.u32(1);
+        self.out.u8(status.level);
+        for text in [status.name, status.message, "rangehound"] {
+            self.out.text(text);
+        }
+        self.out.u32(status.values.len() as u32);
+        for (key, value) in &status.values {
+            self.out.text(key);
+            self.out.text(value);
+        }
+    }
+
     fn frame(&mut self, child: &str, placed: &Placed) {
         self.header(MAP);
         self.out.text(child);
@@ -190,6 +265,7 @@ fn base(robot: usize) -> String {
 
 #[cfg(test)]
 mod tests {
+    use nalgebra::Matrix2;
     use rangehound_shared::measurement::Pose;
     use rangehound_shared::message::Estimate;
 
@@ -197,6 +273,8 @@ mod tests {
     use crate::files::bag::cdr::{Value, read};
     use crate::files::bag::definition::Types;
     use crate::files::bag::path::Path;
+    use crate::results::ros_bag::diagnostics::Facts;
+    use crate::results::ros_bag::markers::{Seen, markers};
     use crate::results::ros_bag::planar::UNKNOWN;
 
     fn number(messages: &Messages, topic: Topic, path: &str) -> f64 {
@@ -262,5 +340,29 @@ mod tests {
         let placed = Placed::robot(&Pose::at([1.0, 2.0]));
         messages.frames(&placed, [(0, &placed), (12, &placed)].into_iter());
         assert_eq!(number(&messages, Topic::Frames, "transforms[2].transform.translation.y"), 2.0);
+    }
+
+    #[test]
+    fn markers_and_diagnostics_have_their_fields_where_ros_expects_them() {
+        let seen = Seen { place_m: [3.0, -1.0], command: Command::default(), range: None };
+        let mut messages = Messages::default();
+        messages.set_stamp(5_000_000_007);
+        messages.markers(&markers([5.0, 6.0], &Matrix2::identity(), &[Some(seen), None]));
+        let at = |path: &str| number(&messages, Topic::Markers, path);
+        // The last marker is read only if all before it are where they should be.
+        assert_eq!([at("markers[0].scale.x"), at("markers[0].pose.position.y")], [6.0, 6.0]);
+        assert_eq!([at("markers[3].points[1].x"), at("markers[3].action"), at("markers[3].type")], [5.0, 0.0, 4.0]);
+        assert_eq!(
+            [at("markers[6].id"), at("markers[6].action"), at("markers[6].header.stamp.nanosec")],
+            [1.0, 2.0, 7.0]
+        );
+        assert_eq!(at("markers[6].mesh_use_embedded_materials"), 0.0);
+        messages.diagnostics(&Facts::default().status(2));
+        assert_eq!(number(&messages, Topic::Diagnostics, "status[0].level"), 1.0);
+        let types = Types::parse(interfaces::DIAGNOSTICS.name, &interfaces::DIAGNOSTICS.text()).unwrap();
+        let mut values = Vec::new();
+        read(&types, messages.bytes(), &Path::parse(&types, "status[0].values[5].value").unwrap(), &mut values)
+            .unwrap();
+        assert_eq!(values, [Value::Text("2".to_owned())]);
     }
 }

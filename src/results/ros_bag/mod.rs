@@ -3,11 +3,15 @@
 //! | module | what |
 //! |---|---|
 //! | [`planar`] | from a run's data to what ROS is told: poses, velocities, twists, stamps |
+//! | [`markers`] | what RViz draws of a tick |
+//! | [`diagnostics`] | what ROS's diagnostics say of a tick |
 //! | [`messages`] | from that to the bytes of messages |
 //! | [`write`](mod@write) | frames into an MCAP file |
 //! | [`folder`] | the folder, and what `metadata.yaml` says of the file |
 
+pub mod diagnostics;
 pub mod folder;
+pub mod markers;
 pub mod messages;
 pub mod planar;
 pub mod write;

@@ -10,13 +10,23 @@ use mcap::{Compression, McapError, WriteOptions};
 use rangehound_shared::message::Estimate;
 use rangehound_shared::scenario::{Scenario, Source};
 
+use super::diagnostics::Facts;
+use super::markers::{Seen, markers};
 use super::messages::{Messages, Topic};
 use super::planar::{self, Controller, Moving, Placed};
 use crate::results::frame::Frame;
+use crate::results::report::position_covariance;
 use crate::results::run_mcap::write::{Counting, Written};
 
 /// A chunk is written once it has this many bytes before compression: as rosbag2 does.
 const CHUNK_LEN: u64 = 768 << 10;
+
+/// Least time between two messages of markers, and between two of diagnostics: those of the node, by default.
+const MARKERS_NS: i64 = 100_000_000;
+const DIAGNOSTICS_NS: i64 = 1_000_000_000;
+
+/// Stamps are rounded.
+const ROUNDING_NS: i64 = 1_000;
 
 /// A topic in the file.
 #[derive(Debug, Clone, Copy)]
@@ -61,6 +71,11 @@ pub struct BagWriter<W: Write + Seek> {
     is_recording: bool,
     has_velocity: bool,
     controller: Controller,
+    ticks: u64,
+    marked_ns: Option<i64>,
+    diagnosed_ns: Option<i64>,
+    /// Measurements rejected since the last diagnostics.
+    rejected: u64,
     /// What holds at the newest stamp. A recording may have several ticks for it, of which the last knows most.
     newest: Option<Newest>,
 }
@@ -69,6 +84,9 @@ struct Newest {
     time_s: f64,
     estimate: Estimate,
     robots: BTreeMap<usize, Placed>,
+    /// What is drawn of each robot.
+    seen: Vec<Option<Seen>>,
+    facts: Facts,
 }
 
 impl<W: Write + Seek> BagWriter<W> {
@@ -92,6 +110,10 @@ impl<W: Write + Seek> BagWriter<W> {
             is_recording: matches!(scenario.source, Source::Recorded { .. }),
             has_velocity: planar::has_velocity(scenario),
             controller: Controller::of_team(scenario),
+            ticks: scenario.ticks,
+            marked_ns: None,
+            diagnosed_ns: None,
+            rejected: 0,
             newest: None,
         })
     }
@@ -110,14 +132,15 @@ impl<W: Write + Seek> BagWriter<W> {
         }
         let time_s = frame.fusion.time_s;
         if self.newest.as_ref().is_some_and(|newest| newest.time_s != time_s) {
-            self.put_newest()?;
+            self.put_newest(false)?;
         }
         self.set_stamp(time_s);
         if !frame.world.truth.is_empty() {
             self.messages.truth(&frame.world.truth, self.has_velocity);
             self.put(Topic::Truth)?;
         }
-        let mut robots = self.newest.take().map(|newest| newest.robots).unwrap_or_default();
+        let (mut robots, mut seen) = self.newest.take().map(|newest| (newest.robots, newest.seen)).unwrap_or_default();
+        seen.resize(frame.fusion.exchanges.len(), None);
         for (id, exchange) in frame.fusion.exchanges.iter().enumerate() {
             if let Some(heard) = exchange.heard {
                 let placed = Placed::robot(&heard.measurement.pose);
@@ -128,6 +151,9 @@ impl<W: Write + Seek> BagWriter<W> {
                     self.put(Topic::Twist(id))?;
                 }
                 robots.insert(id, placed);
+                // The range of an earlier tick of this stamp counts.
+                let before = seen[id].and_then(|before| before.range);
+                seen[id] = Seen::of(exchange).map(|now| Seen { range: now.range.or(before), ..now });
                 if let Some((range_m, std_m)) = heard.measurement.range() {
                     self.messages.range(id, range_m, std_m);
                     self.put(Topic::Range(id))?;
@@ -142,7 +168,9 @@ impl<W: Write + Seek> BagWriter<W> {
                 self.put(Topic::Velocity(id))?;
             }
         }
-        self.newest = Some(Newest { time_s, estimate: frame.fusion.estimate, robots });
+        self.rejected += frame.fusion.estimate.rejected;
+        let facts = Facts::of(frame.tick, self.ticks, &frame.fusion);
+        self.newest = Some(Newest { time_s, estimate: frame.fusion.estimate, robots, seen, facts });
         Ok(Written::Taken)
     }
 
@@ -151,29 +179,44 @@ impl<W: Write + Seek> BagWriter<W> {
     /// # Errors
     /// If the system refuses.
     pub fn finish(mut self) -> Result<(W, Contents), McapError> {
-        self.put_newest()?;
+        self.put_newest(true)?;
         self.mcap.finish()?;
         Ok((self.mcap.into_inner().out, self.contents))
     }
 
-    /// Writes what holds at the newest stamp.
-    fn put_newest(&mut self) -> Result<(), McapError> {
-        let Some(Newest { time_s, estimate, robots }) = self.newest.take() else { return Ok(()) };
-        self.set_stamp(time_s);
+    /// Writes what holds at the newest stamp, which may be the last.
+    fn put_newest(&mut self, is_last: bool) -> Result<(), McapError> {
+        let Some(Newest { time_s, estimate, robots, seen, facts }) = self.newest.take() else { return Ok(()) };
+        let stamp_ns = self.set_stamp(time_s);
         let target = Placed::target(&estimate, self.has_velocity);
         self.messages.pose_with_covariance(&target);
         self.put(Topic::TargetPose)?;
         self.messages.odometry(&target, &Moving::target(&estimate, self.has_velocity));
         self.put(Topic::TargetOdometry)?;
         self.messages.frames(&target, robots.iter().map(|(id, placed)| (*id, placed)));
-        self.put(Topic::Frames)
+        self.put(Topic::Frames)?;
+        if is_due(self.marked_ns, stamp_ns, MARKERS_NS) {
+            self.marked_ns = Some(stamp_ns);
+            let [x_m, y_m, ..] = estimate.state;
+            self.messages.markers(&markers([x_m, y_m], &position_covariance(&estimate), &seen));
+            self.put(Topic::Markers)?;
+        }
+        // The last one makes the sum of all rejected measurements complete.
+        if is_last || is_due(self.diagnosed_ns, stamp_ns, DIAGNOSTICS_NS) {
+            self.diagnosed_ns = Some(stamp_ns);
+            self.messages.diagnostics(&facts.status(std::mem::take(&mut self.rejected)));
+            self.put(Topic::Diagnostics)?;
+        }
+        Ok(())
     }
 
-    fn set_stamp(&mut self, time_s: f64) {
+    /// Sets the stamp of the next messages, and returns it, ns.
+    fn set_stamp(&mut self, time_s: f64) -> i64 {
         let Contents { span_ns, offset_ns, .. } = &mut self.contents;
         let stamp_ns = planar::stamp_ns(time_s).saturating_add(*offset_ns);
         *span_ns = Some([span_ns.map_or(stamp_ns, |[first, _]| first), stamp_ns]);
         self.messages.set_stamp(stamp_ns);
+        stamp_ns
     }
 
     /// Writes the message that was made last.
@@ -201,4 +244,9 @@ impl<W: Write + Seek> BagWriter<W> {
         let facts = facts.map(|(key, value)| (key.to_owned(), value.to_owned())).into();
         self.mcap.add_channel(schema, &topic.name(), "cdr", &facts)
     }
+}
+
+/// True if a message is due that comes at most once in an interval.
+fn is_due(before_ns: Option<i64>, stamp_ns: i64, interval_ns: i64) -> bool {
+    before_ns.is_none_or(|before_ns| stamp_ns.saturating_sub(before_ns) >= interval_ns - ROUNDING_NS)
 }

@@ -8,6 +8,7 @@ use std::io::Read;
 use std::path::{Path, PathBuf};
 
 use super::Fault;
+use crate::files::bytes_read::BytesRead;
 pub use mcap::read as read_mcap;
 
 /// A topic of a bag.
@@ -38,32 +39,37 @@ pub trait Sink {
     fn message(&mut self, topic: usize, log_ns: i64, message: &[u8]) -> Result<(), Fault>;
 }
 
-/// Reads a bag: its folder, or one of its files.
+/// Reads a bag: its folder, or one of its files. `bytes` counts what has been read.
 ///
 /// # Errors
 /// [`Fault`] of the first file that cannot be read, or of the sink.
-pub fn read(path: &Path, sink: &mut impl Sink) -> Result<(), Fault> {
+pub fn read(path: &Path, sink: &mut impl Sink, bytes: &BytesRead) -> Result<(), Fault> {
     let is_folder = path.is_dir();
     let files = if is_folder { files_of(path)? } else { vec![path.to_owned()] };
+    for file in &files {
+        bytes.expect(std::fs::metadata(file).map_or(0, |found| found.len()));
+    }
     for file in files {
         let of_file = |fault: Fault| match file.file_name().filter(|_| is_folder) {
             Some(name) => Fault::new(format!("{} ({})", fault.wrong, name.to_string_lossy()), fault.hint),
             None => fault,
         };
-        read_file(&file, sink).map_err(of_file)?;
+        read_file(&file, sink, bytes).map_err(of_file)?;
     }
     Ok(())
 }
 
-fn read_file(path: &Path, sink: &mut impl Sink) -> Result<(), Fault> {
+fn read_file(path: &Path, sink: &mut impl Sink, bytes: &BytesRead) -> Result<(), Fault> {
     let mut file = File::open(path).map_err(|error| unreadable(&error))?;
     let len = file.metadata().map_err(|error| unreadable(&error))?.len();
     let mut begin = Vec::new();
     file.by_ref().take(16).read_to_end(&mut begin).map_err(|error| unreadable(&error))?;
     if begin.starts_with(super::SQLITE_MAGIC) {
-        return sqlite::read(path, sink);
+        sqlite::read(path, sink)?;
+        bytes.add(len);
+        return Ok(());
     }
-    mcap::read(begin.chain(file), len, sink)
+    mcap::read(bytes.count(begin.chain(file)), len, sink)
 }
 
 fn unreadable(error: &std::io::Error) -> Fault {
