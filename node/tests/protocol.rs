@@ -8,13 +8,14 @@ use xxhash_rust::xxh3::xxh3_64;
 
 use rangehound_node::bus::{GROUP, Topic};
 use rangehound_node::rendezvous::RunDescription;
+use rangehound_robot::remote::wire::{Downlink, Driven, Echo, Heading, Measured, Uplink, World};
 use rangehound_shared::message::{Command, Drive, Estimate, Header, Range, Truth, WorldEntry};
 use rangehound_shared::protocol::PROTOCOL;
 use rangehound_shared::recording::{ReadOptions, Recording};
 use rangehound_shared::scenario::{PLANNERS, Scenario, ScenarioFile};
 
 /// Every protocol so far with the digest of its data layout. Add a line for a new protocol; never change an old one.
-const HISTORY: [(u32, u64); 8] = [
+const HISTORY: [(u32, u64); 9] = [
     (1, 0x8a98_a0c7_e0b3_ca0d),
     (2, 0xf26b_d96f_19ad_d4f6),
     (3, 0x1db7_11f4_60fd_fd13),
@@ -23,10 +24,11 @@ const HISTORY: [(u32, u64); 8] = [
     (6, 0x65ae_7aff_f591_598d),
     (7, 0x2195_e843_691a_5f26),
     (8, 0x2d2b_c56f_f932_6c87),
+    (9, 0xaaa2_afac_f90e_cbbd),
 ];
 
 /// The same for the description of a recorded run.
-const RECORDED: (u32, u64) = (8, 0x094c_d944_0582_54f0);
+const RECORDED: (u32, u64) = (9, 0x094c_d944_0582_54f0);
 
 /// The versioned type names that iceoryx2 compares; reading them through iceoryx2 would take `unsafe`.
 fn type_names() -> String {
@@ -47,6 +49,13 @@ fn layout<T: Default + std::fmt::Debug>() -> String {
 
 fn topic<T: Topic + Default>() -> String {
     format!("{} {}", T::NAME, layout::<T>())
+}
+
+/// The fields of the frames between hosts.
+fn frames() -> String {
+    let down = (Downlink::default(), World::default(), Heading::default());
+    let up = (Uplink::default(), Echo::default(), Measured::default(), Driven::default());
+    format!("{down:?} {up:?}\n")
 }
 
 /// The fields of a description, without the values of numbers.
@@ -90,6 +99,7 @@ fn messages_change_only_with_the_protocol() {
         topic::<Estimate>(),
         topic::<Truth>(),
         format!("{GROUP} robots on one service\n"),
+        frames(),
         description(),
     ]
     .concat();
@@ -97,8 +107,8 @@ fn messages_change_only_with_the_protocol() {
     assert_eq!(
         HISTORY.last(),
         Some(&(PROTOCOL, digest)),
-        "a message or the run's description has changed: give the changed messages a new version in their type names, \
-         count PROTOCOL up, and add the line ({}, {digest:#018x}) to HISTORY\n{text}",
+        "a message, a frame or the run's description has changed: give the changed messages a new version in their type names, \
+         increase PROTOCOL by one, and add the line ({}, {digest:#018x}) to HISTORY\n{text}",
         PROTOCOL + 1
     );
     assert!(HISTORY.is_sorted_by(|before, after| before.0 < after.0 && before.1 != after.1));

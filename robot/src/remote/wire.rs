@@ -23,7 +23,7 @@ pub const MEASUREMENTS_MAX: usize = 6;
 pub const REMEMBERED_TICKS: u64 = 64;
 
 /// From the gateway to the robot.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub struct Downlink {
     /// Id of the run.
     pub run_id: u64,
@@ -40,7 +40,7 @@ pub struct Downlink {
 }
 
 /// From the robot to the gateway.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct Uplink {
     /// Id of the run.
     pub run_id: u64,
@@ -53,7 +53,7 @@ pub struct Uplink {
 }
 
 /// A message of the topic `world`, for one robot.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub struct World {
     /// Incarnation of the simulator.
     pub incarnation: u64,
@@ -66,7 +66,7 @@ pub struct World {
 }
 
 /// A message of the topic `heading`, for one robot.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub struct Heading {
     /// Incarnation of fusion.
     pub incarnation: u64,
@@ -77,7 +77,7 @@ pub struct Heading {
 }
 
 /// The measurement of a tick.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub struct Measured {
     /// The tick.
     pub tick: u64,
@@ -109,7 +109,7 @@ pub struct Driven {
 }
 
 /// The answer to the time stamp of a frame.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub struct Echo {
     /// The stamp, as it came.
     pub sent_ns: u64,

@@ -2,14 +2,14 @@
 //! ([`wake`]), and the deadlines of a real-time tick ([`timing`]).
 //!
 //! Every sealed file has the number: a run's description, which all nodes open before they touch its shared
-//! memory, and the checkpoints. Raise the number when data changes that one process writes and another reads: messages, the
-//! run's description, or checkpoints. A test detects changes of messages and the description: `node/tests/protocol.rs`.
+//! memory, and the checkpoints. Raise the number when data changes that one process writes and another reads: messages, frames
+//! between hosts, the run's description, or checkpoints. A test detects changes of all but checkpoints: `node/tests/protocol.rs`.
 
 pub mod timing;
 pub mod wake;
 
-/// Version of the messages, the run's description and the checkpoints.
-pub const PROTOCOL: u32 = 8;
+/// Version of the messages, the frames between hosts, the run's description and the checkpoints.
+pub const PROTOCOL: u32 = 9;
 
 /// Version of this program, for display.
 pub const PROGRAM: &str = env!("CARGO_PKG_VERSION");
