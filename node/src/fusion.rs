@@ -39,6 +39,9 @@ pub enum FusionError {
     /// The predecessor's state cannot be used, as found after opening it.
     #[error("cannot use the checkpoint: {0}: start a new run")]
     Sealed(#[from] SealError),
+    /// The state of this process cannot be stored.
+    #[error("cannot encode the checkpoint: {0}: please report this")]
+    Unsaved(SealError),
     /// The filter diverged.
     #[error(transparent)]
     Diverged(#[from] Diverged),
@@ -246,7 +249,7 @@ impl<'a> Driver<'a> {
                 Action::Continue => {}
                 Action::RequireLead => self.require_lead(lease)?,
                 Action::Save => {
-                    let saved = self.leader.saved()?;
+                    let saved = self.leader.saved().map_err(FusionError::Unsaved)?;
                     Checkpoint::write_or_give_up(&mut self.checkpoint, &saved);
                 }
                 Action::SendHeadings => _ = self.headings.send(last_tick, time_s, centre.commands())?,

@@ -36,6 +36,9 @@ pub enum SimError {
     /// The predecessor's state cannot be used, as found after opening it.
     #[error("cannot use the checkpoint: {0}: start a new run")]
     Sealed(#[from] SealError),
+    /// The state of this process cannot be stored.
+    #[error("cannot encode the checkpoint: {0}: please report this")]
+    Unsaved(SealError),
     /// The recording cannot be played.
     #[error(transparent)]
     Recording(#[from] PlaybackError),
@@ -56,6 +59,9 @@ pub fn run(rendezvous: &Rendezvous, termination: &Termination) -> Result<(), Sim
         sim.lease.renew(now_ns);
         rendezvous.look_for_removal(now_ns)?;
         sim.receive(events)?;
+        if events.is_empty() && rendezvous.is_ending() {
+            break;
+        }
         if !termination.requested() {
             sim.act()?;
         }
@@ -140,7 +146,7 @@ impl<'a> Driver<'a> {
             match action {
                 Action::Record => self.record(),
                 Action::Save => {
-                    let saved = self.machine.saved()?;
+                    let saved = self.machine.saved().map_err(SimError::Unsaved)?;
                     Checkpoint::write_or_give_up(&mut self.checkpoint, &saved);
                 }
                 Action::SendWorld => {

@@ -167,6 +167,7 @@ impl Waiter {
             let since_ns = std::mem::replace(&mut now_ns, monotonic_ns());
             if now_ns - since_ns > self.long_turn_ns {
                 self.asleep_at_once.set(WAITS_AFTER_LONG_TURN);
+                return events;
             }
             let is_over = match self.spin {
                 Spin::Time(spin_ns) => now_ns - began_ns >= spin_ns,

@@ -24,7 +24,7 @@ const HISTORY: [(u32, u64); 9] = [
     (6, 0x65ae_7aff_f591_598d),
     (7, 0x2195_e843_691a_5f26),
     (8, 0x2d2b_c56f_f932_6c87),
-    (9, 0xaaa2_afac_f90e_cbbd),
+    (9, 0xeca9_6cf1_12b2_78c8),
 ];
 
 /// The same for the description of a recorded run.
@@ -53,9 +53,12 @@ fn topic<T: Topic + Default>() -> String {
 
 /// The fields of the frames between hosts.
 fn frames() -> String {
-    let down = (Downlink::default(), World::default(), Heading::default());
-    let up = (Uplink::default(), Echo::default(), Measured::default(), Driven::default());
-    format!("{down:?} {up:?}\n")
+    let down = Downlink { world: Some(World::default()), heading: Some(Heading::default()), ..Downlink::default() };
+    let driven = Driven { heading_after_ns: Some(0), ..Driven::default() };
+    let (echo, measured) = (Some(Echo::default()), vec![Measured::default()]);
+    let up = Uplink { echo, measured, driven: Some(driven), ..Uplink::default() };
+    // Their names, and their bytes after the version.
+    format!("{down:?} {:?}\n{up:?} {:?}\n", &down.to_bytes()[1..], &up.to_bytes()[1..])
 }
 
 /// The fields of a description, without the values of numbers.

@@ -38,7 +38,7 @@ pub(crate) fn failed(failure: impl Into<Failure>) -> PyErr {
 const LOOK: Duration = Duration::from_millis(5);
 
 /// Reads in a thread, so that Python can act on signals meanwhile, and show `progress`, a function of the bytes that have been read and of
-/// all. After a signal nobody waits for the thread.
+/// all. After a signal, or an exception of `progress`, nobody waits for the thread.
 pub(crate) fn interruptible<T: Send + 'static>(
     py: Python<'_>,
     progress: Option<&Py<PyAny>>,
@@ -64,7 +64,11 @@ pub(crate) fn interruptible<T: Send + 'static>(
         py.check_signals()?;
         show()?;
     }
-    show()?;
+    let [_, all] = bytes.get();
+    // A reader may stop before an index that it does not need.
+    if let Some(progress) = progress.filter(|_| all > 0) {
+        progress.call1(py, (all, all))?;
+    }
     worker.join().map_err(|_| failed(anyhow::anyhow!("the reader panicked: please report this")))
 }
 

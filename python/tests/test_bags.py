@@ -121,7 +121,7 @@ def test_markers_and_diagnostics_are_those_of_the_run(run):
     assert {status.name for status in statuses} == {"rangehound: estimate"}
     values = [{pair.key: pair.value for pair in status.values} for status in statuses]
     assert [int(value["tick"]) for value in values] == list(range(0, 101, 10))
-    assert sum(int(value["rejected in the last second"]) for value in values) == live.rejected.sum()
+    assert sum(int(value["rejected since the last status"]) for value in values) == live.rejected.sum()
     for value in values:
         assert float(value["position trace, m^2"]) == pytest.approx(live.position_trace_m2[int(value["tick"])], abs=1e-6)
         assert int(value["fused"]) == live.fused[int(value["tick"])]

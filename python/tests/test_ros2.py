@@ -452,4 +452,4 @@ def test_diagnostics_tell_who_is_gone_and_what_was_rejected(program, name, ros, 
     estimates = [{pair["key"]: pair["value"] for pair in status["values"]} for status in statuses if status["name"] == "rangehound: estimate" and status["values"]]
     assert float(estimates[-1]["range to heading, us"]) > 0 and int(estimates[-1]["missing"]) >= 1
     assert "1" in estimates[-1]["silent robots"].split()
-    assert max(int(estimate["rejected in the last second"]) for estimate in estimates) > 0
+    assert max(int(estimate["rejected since the last status"]) for estimate in estimates) > 0

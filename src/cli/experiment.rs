@@ -155,8 +155,10 @@ impl TrackArgs {
             ("target.noise_psd", "--accel-psd", self.accel_psd.is_some()),
             ("filter.gate_sigma", "--gate", self.gate.gate.is_some()),
             ("filter.estimate", "--estimate", nuisances.estimate.is_some()),
+            ("recording.sensor[].bias_m", "--range-bias", !self.range_bias.is_empty()),
+            ("recording.sensor[].scale", "--range-scale", !self.range_scale.is_empty()),
             (
-                "recording.sensor",
+                "recording.sensor[].id",
                 "--range-bias or --range-scale",
                 !self.range_bias.is_empty() || !self.range_scale.is_empty(),
             ),

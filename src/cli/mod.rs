@@ -114,6 +114,9 @@ pub enum Command {
     Man(ManArgs),
 }
 
+/// Earlier names of flags, which still work.
+const HIDDEN_ALIASES: [&str; 1] = ["--patience"];
+
 /// The command line with the examples of `--help`.
 #[must_use]
 pub fn command() -> clap::Command {
@@ -129,11 +132,16 @@ pub fn one_line(error: &clap::Error) -> String {
     let message = message.join(" ");
     let message = message.strip_prefix("error: ").unwrap_or(&message);
     let suggestions = [ContextKind::SuggestedArg, ContextKind::SuggestedSubcommand, ContextKind::SuggestedValue];
-    let suggested = suggestions.into_iter().find_map(|kind| error.get(kind)).map(ToString::to_string);
+    // Hidden aliases are for those who know them.
+    let is_shown = |suggested: &String| !HIDDEN_ALIASES.contains(&suggested.trim_matches('\''));
+    let suggested = suggestions.into_iter().find_map(|kind| error.get(kind)).map(ToString::to_string).filter(is_shown);
     let expected = match error.kind() {
         ErrorKind::ValueValidation => return message.to_owned(),
         ErrorKind::InvalidValue if message.contains("[possible values:") => {
             return message.replace("[possible values:", "[expected one of:");
+        }
+        ErrorKind::ArgumentConflict if message.contains("multiple times") => {
+            return format!("{message}: expected it once");
         }
         ErrorKind::ArgumentConflict => return format!("{message}: expected only one of them"),
         ErrorKind::InvalidValue => "a value",

@@ -45,7 +45,7 @@ pub(super) fn follow(run: &Rendezvous, server: &Server, termination: &Terminatio
         // Checked before reading, so that everything up to the end is read.
         let is_finished = run.is_finished();
         let is_asked = !is_finished && termination.requested();
-        let is_over = is_finished || is_asked && is_ending(run);
+        let is_over = is_finished || is_asked && ends_soon(run);
         if is_over {
             watch::wait_for_last_estimate(run);
         }
@@ -80,7 +80,7 @@ pub(super) fn follow(run: &Rendezvous, server: &Server, termination: &Terminatio
 }
 
 /// True if the run ends before its last tick; false if only the page is asked to end.
-fn is_ending(run: &Rendezvous) -> bool {
+fn ends_soon(run: &Rendezvous) -> bool {
     let asked = Instant::now();
     loop {
         if run.is_ending() {

@@ -97,8 +97,7 @@ pub enum TeamError {
     Recording(#[from] PlaybackError),
     /// Its target is real.
     #[error(
-        "target.real is true: simulated robots cannot measure a real target: expected a simulated one, or `rangehound run \
-         --external` without --in-process"
+        "target.real is true: simulated robots cannot measure a real target: expected a simulated target, or a live run with `rangehound run --external`"
     )]
     RealTarget,
     /// Its planner cannot serve it.

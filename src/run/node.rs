@@ -30,7 +30,9 @@ pub fn sim(rendezvous: &Rendezvous, termination: &Termination) -> Result<(), Fai
         SimError::Rendezvous(error) => input_or_running(error),
         error @ (SimError::Checkpoint(_) | SimError::Sealed(_) | SimError::Recording(_)) => Failure::input(error),
         other => Failure::from(other),
-    })
+    })?;
+    tell_of_early_end(rendezvous, Role::Sim, termination);
+    Ok(())
 }
 
 /// Runs the fusion centre of a run, or one that stands by, until it ends; and until this process's parent ends, if that

@@ -181,10 +181,17 @@ pub(crate) fn run_named(name: Option<&RunName>) -> Result<RunName, Failure> {
     }
 }
 
+/// The error for a run that is not running.
+pub(super) fn not_running(name: &RunName) -> Failure {
+    Failure::input(format!(
+        "run {name} (--name) is not running: expected the name of a running run; `rangehound run --name {name}` starts one"
+    ))
+}
+
 fn join(name: Option<&RunName>) -> Result<Rendezvous, Failure> {
     let name = run_named(name)?;
     let run = Rendezvous::join_if_alive(&name).map_err(input_or_running)?;
-    run.ok_or_else(|| Failure::input(format!("run {name} (--name) is not running: expected the name of a running run; `rangehound run --name {name}` starts one")))
+    run.ok_or_else(|| not_running(&name))
 }
 
 /// A process that has got a signal.

@@ -12,7 +12,7 @@ use rangehound_shared::scenario::printable;
 
 use crate::failure::{self, Failure};
 use crate::run::node::input_or_running;
-use crate::run::remote::{ELSEWHERE, NodeStatus, Status, run_named};
+use crate::run::remote::{ELSEWHERE, NodeStatus, Status, not_running, run_named};
 use crate::terminal::{self, BAD, DOUBTFUL, GOOD, TITLE, field, wrapped};
 
 /// All states, the worst first.
@@ -67,9 +67,7 @@ pub fn status(name: Option<&RunName>, shows_all: bool, again: bool, json: bool) 
         }
     }
     match (is_first, json) {
-        (true, _) => Err(Failure::input(format!(
-            "run {name} (--name) is not running: expected the name of a running run; `rangehound run --name {name}` starts one"
-        ))),
+        (true, _) => Err(not_running(&name)),
         (false, true) => Ok(()),
         (false, false) => failure::print(format!("run {name} has ended\n")),
     }
@@ -187,7 +185,7 @@ impl Row<'_> {
 
 /// The links to robots on other hosts, and who was refused.
 fn links(gateway: &GatewayNote) -> String {
-    let heads = ["robot", "host", "address", "rtt", "lost", "dup", "silent"].map(str::to_owned);
+    let heads = ["robot", "host", "address", "rtt", "lost", "resent", "silent"].map(str::to_owned);
     let mut out = format!("\n\n{TITLE}{}{TITLE:#}", link(&heads));
     for guest in &gateway.guests {
         let trip = guest.round_trip_us.map_or("-".to_owned(), |us| format!("{:.1} ms", us as f64 / 1_000.0));

@@ -13,8 +13,9 @@ use super::{assert_none, pages};
 use crate::support::{Outcome, PROGRAM, Run, skipped};
 
 /// The reasons that a page may give for a command that the test cannot run.
-const REASONS: [&str; 10] = [
+const REASONS: [&str; 12] = [
     "builds the program",
+    "ends only with Ctrl-C",
     "needs a browser",
     "needs a file that a kill has cut short",
     "needs a ROS bag",
@@ -22,6 +23,7 @@ const REASONS: [&str; 10] = [
     "needs another machine",
     "needs root",
     "needs packages of Python",
+    "needs rangehound-gateway",
     "needs a viewer",
     "needs recordings of real robots",
 ];

@@ -22,10 +22,6 @@ const SHOWN: [&str; 2] = ["text", "toml"];
 /// Limits of length, so that README and ARCHITECTURE.md stay short.
 const LINES_MAX: [(&str, usize); 2] = [("README.md", 150), ("ARCHITECTURE.md", 120)];
 
-/// Pages whose first block of code is not the first thing below the title, and why.
-const PROSE_FIRST: [(&str, &str); 2] =
-    [("docs/mavlink.md", "a warning comes first"), ("docs/ros2.md", "a line says what the commands lead to")];
-
 fn assert_none(faults: Vec<String>) {
     assert!(faults.is_empty(), "{} faults:\n{}", faults.len(), faults.join("\n"));
 }
@@ -169,12 +165,9 @@ fn each_page_starts_with_a_command_and_ends_with_its_limits() {
     let mut faults = Vec::new();
     for page in Page::of_book() {
         let path = page.path.display();
-        let is_exempt = PROSE_FIRST.iter().any(|(page, _)| path.to_string() == *page);
-        let second = page.prose().into_iter().find(|(_, line)| line.starts_with("## ")).map_or(0, |(line, _)| line);
         let first_words =
             page.prose().into_iter().find(|(_, line)| !is_title_or_mark(line)).map_or(0, |(line, _)| line);
-        let latest = if is_exempt { second } else { first_words };
-        if page.commands().next().is_none_or(|block| block.line > latest) {
+        if page.commands().next().is_none_or(|block| block.line > first_words) {
             faults.push(format!("{path}: prose or a section before the first command"));
         }
         if page.headings().last().is_none_or(|(_, heading)| *heading != "Limits") {

@@ -348,6 +348,19 @@ fn words_that_the_tool_does_not_know_are_refused() {
     ]);
 }
 
+/// Earlier names of flags and keys still work, and no advice names them.
+#[test]
+fn no_error_advises_an_earlier_name() {
+    let run = Run::new();
+    run.write("mine.toml", "unknown = 1\n");
+    for words in ["run --gate 3", "run --pattern 3", "run --in-process mine.toml"] {
+        let outcome = run.start(&words.split_whitespace().collect::<Vec<_>>()).finish();
+        assert!(outcome.code == Some(2) && !outcome.stderr.contains("patience"), "{outcome:#?}");
+    }
+    run.write("mine.toml", "patience_s = 3\n");
+    run.command("run mine.toml --in-process --ticks 3").finish().succeeded();
+}
+
 #[test]
 fn the_printed_scenario_is_the_default_and_runs() {
     let run = Run::new();

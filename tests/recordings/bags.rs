@@ -247,7 +247,7 @@ fn markers_and_diagnostics_of_a_bag_are_those_of_the_estimate() {
     );
     let ticks: Vec<f64> = told.iter().map(|told| number(&of(told, "tick"))).collect();
     assert_eq!((&ticks[..3], ticks[26]), (&[0.0, 10.0, 20.0][..], 255.0));
-    let rejected: f64 = told.iter().map(|told| number(&of(told, "rejected in the last second"))).sum();
+    let rejected: f64 = told.iter().map(|told| number(&of(told, "rejected since the last status"))).sum();
     let report = run.report();
     assert!(rejected > 0.0 && rejected == number(&report["ranges"]["rejected"]), "{rejected}: {}", report["ranges"]);
 }

@@ -254,10 +254,7 @@ impl<'a> Guests<'a> {
     fn ask_for_role(&mut self, applicant: Box<Applicant>) {
         let robot = applicant.request.robot;
         if !self.asked_for.insert(robot) {
-            return self.refuse(
-                *applicant,
-                (RefusalCause::RoleTaken, "another process is joining as this robot: try again".to_owned()),
-            );
+            return self.refuse(*applicant, (RefusalCause::RoleTaken, "this robot is already joining".to_owned()));
         }
         let (roster, sender) = (self.rendezvous.roster().clone(), self.sender.clone());
         tokio::task::spawn_blocking(move || {

@@ -55,7 +55,7 @@ pub enum RendezvousError {
         build: OtherBuild,
     },
     /// The wait groups cannot be created.
-    #[error("the wait groups of the run in /dev/shm {0}: make room there, or remove files of dead runs")]
+    #[error("the wait groups of the run in /dev/shm {0}")]
     WaitGroups(#[from] BlockError),
     /// The system refuses a file operation.
     #[error("cannot use {}: {source}", .path.display())]

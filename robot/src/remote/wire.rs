@@ -1,7 +1,7 @@
 //! The frames between a robot and its gateway: each fits in one datagram.
 //!
 //! The first byte of a frame is its version, the others are its fields in order: integers and floats in little-endian order, an
-//! optional field after a byte that is 1 if it is there.
+//! optional field after a byte that is 1 if it is there, a list after its number of entries (8 bytes).
 
 use bincode::config::{Configuration, Fixint, Limit, LittleEndian};
 use rangehound_shared::measurement::Measurement;

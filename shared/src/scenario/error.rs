@@ -73,7 +73,9 @@ impl ScenarioError {
     }
 }
 
-/// Whether the flag for the key `of_flag` gave `key`: the same key, or an entry of its list.
+/// Whether `key` is the key of a flag; `list[].field` stands for that field of each entry of a list.
 fn is_of(key: &str, of_flag: &str) -> bool {
-    key.strip_prefix(of_flag).is_some_and(|rest| rest.is_empty() || rest.starts_with('['))
+    let Some((list, field)) = of_flag.split_once("[]") else { return key == of_flag };
+    let entry = key.strip_prefix(list).and_then(|rest| rest.strip_prefix('['));
+    entry.and_then(|rest| rest.split_once(']')).is_some_and(|(_, of_entry)| of_entry == field)
 }

@@ -354,11 +354,12 @@ fn split_message(error: &toml::de::Error) -> (String, Option<String>) {
         None => message.split_once(", expected ").map_or((message.as_str(), None), |(a, b)| (a, Some(b))),
     };
     let expected = expected.map(|expected| match expected {
-        "u64" => "a whole number",
-        "f64" => "a number",
-        other => other,
+        "u64" => "a whole number".to_owned(),
+        "f64" => "a number".to_owned(),
+        // An earlier name, which still works.
+        other => other.replace("`patience_s`, ", ""),
     });
-    (problem.to_owned(), expected.map(str::to_owned))
+    (problem.to_owned(), expected)
 }
 
 impl ScenarioFile {

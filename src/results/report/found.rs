@@ -1,10 +1,8 @@
 //! When the target was found, and how well it was tracked from then on.
 
 use super::FoundSummary;
+use super::verdict::VAGUE_SHARE;
 use crate::statistics::Mean;
-
-/// Standard deviation of the position over a typical range, above which the target is not located.
-pub(super) const VAGUE_SHARE: f64 = 0.3;
 
 /// The ticks at which the position was better known than at any tick before, each with the errors until then.
 #[derive(Debug, Default)]

@@ -3,7 +3,6 @@
 use serde::Serialize;
 
 use super::consistency::ConsistencySummary;
-use super::found::VAGUE_SHARE;
 use super::measured;
 use crate::terminal::{BAD, DOUBTFUL, GOOD, prose_in};
 
@@ -15,6 +14,9 @@ const JUDGED_RANGES_MIN: u64 = 8;
 
 /// Share of the ranges of sensors without fault that a valid filter may reject.
 const REJECTED_SHARE_MAX: f64 = 0.2;
+
+/// Standard deviation of the position over a typical range, above which the target is not located.
+pub(super) const VAGUE_SHARE: f64 = 0.3;
 
 /// Share of the ticks with widened noise, above which the model is wrong.
 const WIDENED_SHARE_MAX: f64 = 0.2;

@@ -72,7 +72,7 @@ impl Facts {
             ("fused", self.fused.to_string()),
             ("missing", self.missing.to_string()),
             ("silent robots", listed(&self.silent)),
-            ("rejected in the last second", rejected.to_string()),
+            ("rejected since the last status", rejected.to_string()),
             ("distrusted robots", listed(&self.distrusted)),
         ];
         let [last_range_ns, sent_ns] = self.sent_ns;
@@ -83,7 +83,7 @@ impl Facts {
         Status {
             name: "rangehound: estimate",
             level: u8::from(!is_well),
-            message: if is_well { "all fused" } else { "measurements are missing or rejected" },
+            message: if is_well { "all fused at this tick" } else { "measurements are missing or rejected" },
             values,
         }
     }
@@ -124,7 +124,7 @@ mod tests {
             ("fused", "1"),
             ("missing", "2"),
             ("silent robots", "1 3"),
-            ("rejected in the last second", "3"),
+            ("rejected since the last status", "3"),
             ("distrusted robots", "2"),
             ("range to heading, us", "12.3"),
             ("position trace, m^2", "0.75"),
@@ -135,7 +135,7 @@ mod tests {
     #[test]
     fn a_tick_whose_measurements_are_all_fused_is_well_and_a_time_that_was_not_taken_is_left_out() {
         let status = Facts::of(7, 600, &record(0, Stages::default(), &[Some((7, Use::Fused))])).status(0);
-        assert_eq!((status.level, status.message), (0, "all fused"));
+        assert_eq!((status.level, status.message), (0, "all fused at this tick"));
         assert!(!status.values.iter().any(|(key, _)| *key == "range to heading, us"), "{status:?}");
         assert!(status.values.contains(&("silent robots", "none".to_owned())));
     }

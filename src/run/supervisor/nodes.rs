@@ -115,8 +115,9 @@ impl<'a> Nodes<'a> {
         let mut listened = Instant::now();
         while !self.rendezvous.is_complete() {
             if termination.requested() {
+                let last = if self.rendezvous.is_finished() { "estimate" } else { "tick" };
                 return Err(anyhow!(
-                    "the run was stopped before its last tick: `rangehound resume {}` continues it",
+                    "the run was stopped before its last {last}: `rangehound resume {}` continues it",
                     self.rendezvous.description().out_dir.display()
                 ));
             }

@@ -87,7 +87,9 @@ fn run_once(
         let bus = Bus::connect(rendezvous, "observer")?;
         let mut watch = Watch::new(&bus, description.scenario.ticks)?;
         let cleaner = Cleaner::start(rendezvous, scope);
-        let mut nodes = Nodes::start(rendezvous, &lease, (supervision, gateway), cleaner, past.summaries.clone())?;
+        let nodes = Nodes::start(rendezvous, &lease, (supervision, gateway), cleaner, past.summaries.clone());
+        // Nodes that others have started may have joined already.
+        let mut nodes = nodes.inspect_err(|_| _ = rendezvous.write_note(ENDING_NOTE, ""))?;
         let mut sidecars = Sidecars::of(rendezvous, &lease);
         if let Some(limit_mb) = supervision.record_limit_mb {
             sidecars.start("record", vec!["--record-limit".to_owned(), limit_mb.to_string()]);

@@ -28,10 +28,10 @@ const NEAR: f64 = 0.2;
 pub(super) const SLACK: f64 = 0.02 * GAP_MAX;
 
 /// A best point seldom needs more vertices.
-const VERTICES: usize = 12;
+const VERTICES: usize = 8;
 
 /// Nodes whose memory is kept for the next search.
-const KEPT_MAX: usize = 1_000;
+const KEPT_MAX: usize = 500;
 
 /// An answer and its proof.
 #[derive(Debug, Default)]
@@ -162,6 +162,9 @@ impl Memory {
         }
         closed.truncate(KEPT_MAX);
         spare.truncate(VERTICES * KEPT_MAX);
+        open.shrink_to(KEPT_MAX);
+        closed.shrink_to(KEPT_MAX);
+        spare.shrink_to(VERTICES * KEPT_MAX);
     }
 }
 
