@@ -139,8 +139,11 @@ fn nodes_that_others_have_started_end_with_a_run_that_is_stopped() {
         let run = Run::new();
         let words = "--timeout forever --ticks 1000000 --robots 2 --planner greedy --external fusion,1";
         let supervisor = run.lockstep(words);
-        let others = ["robot --id 1", "fusion", "fusion --standby"].map(|words| run.node(words));
+        let [robot, fusion] = ["robot --id 1", "fusion"].map(|words| run.node(words));
         run.wait_for_ticks(50);
+        // Only now: whoever is first leads.
+        let others = [robot, fusion, run.node("fusion --standby")];
+        run.wait_until("a standby is there", || run.starts("standby-1") == 1);
         if is_by_command {
             run.node("stop").finish().succeeded();
         } else {

@@ -66,6 +66,26 @@ pub const LIVE_NOTE: &str = "live";
 /// The note of a supervisor that ends its run: nodes are not restarted any more, and the results are written.
 pub const ENDING_NOTE: &str = "ending";
 
+/// A run that this process has founded and that no node can join yet: its folder is prepared meanwhile. On drop it is removed.
+#[derive(Debug)]
+pub struct Founded(Rendezvous);
+
+impl Founded {
+    /// Lets nodes join.
+    ///
+    /// # Errors
+    /// If the system refuses, or the description is too large.
+    pub fn open(self) -> Result<Rendezvous, RendezvousError> {
+        let Self(mut run) = self;
+        let place = &run.place;
+        let sealed =
+            run.description.seal().map_err(|reason| RendezvousError::Unusable { file: place.path("run"), reason })?;
+        place.write("run", sealed.as_bytes())?;
+        run.presence = Presence::of(place);
+        Ok(run)
+    }
+}
+
 /// Membership in a run: holds the shared lock while it lives, and leaves on drop.
 #[derive(Debug)]
 pub struct Rendezvous {
@@ -83,18 +103,30 @@ impl Rendezvous {
     /// # Errors
     /// [`RendezvousError::Taken`] if a run of this name lives; others if the system refuses.
     pub fn found(name: &RunName, description: RunDescription) -> Result<Self, RendezvousError> {
-        Self::found_within(DYING, name, description)
+        Self::found_closed(name, description)?.open()
     }
 
-    /// As [`Self::found`], but fails at once if the name is taken: for a caller that can use another name.
+    /// As [`Self::found`], but no node can join yet.
     ///
     /// # Errors
     /// As [`Self::found`].
-    pub fn found_if_free(name: &RunName, description: RunDescription) -> Result<Self, RendezvousError> {
+    pub fn found_closed(name: &RunName, description: RunDescription) -> Result<Founded, RendezvousError> {
+        Self::found_within(DYING, name, description)
+    }
+
+    /// As [`Self::found_closed`], but fails at once if the name is taken: for a caller that can use another name.
+    ///
+    /// # Errors
+    /// As [`Self::found`].
+    pub fn found_closed_if_free(name: &RunName, description: RunDescription) -> Result<Founded, RendezvousError> {
         Self::found_within(Duration::ZERO, name, description)
     }
 
-    fn found_within(timeout: Duration, name: &RunName, description: RunDescription) -> Result<Self, RendezvousError> {
+    fn found_within(
+        timeout: Duration,
+        name: &RunName,
+        description: RunDescription,
+    ) -> Result<Founded, RendezvousError> {
         let robots = description.scenario.robots.len();
         resources::provide_files(robots)?;
         resources::look_for_shared_memory()?;
@@ -117,11 +149,8 @@ impl Rendezvous {
         place.remove_leftovers();
         place.write("iceoryx2.toml", place.iceoryx2_config().as_bytes())?;
         wait_groups::create(place.prefix())?;
-        let sealed =
-            description.seal().map_err(|reason| RendezvousError::Unusable { file: place.path("run"), reason })?;
-        place.write("run", sealed.as_bytes())?;
         members.lock_shared().map_err(|source| place.io_error("members", source))?;
-        Ok(Self::member(place, description, members))
+        Ok(Founded(Self::member(place, description, members)))
     }
 
     /// Joins the run of this name, waiting for it to be founded. `waiting` is called once if the run does not exist yet.

@@ -28,7 +28,7 @@ const NEAR: f64 = 0.2;
 pub(super) const SLACK: f64 = 0.02 * GAP_MAX;
 
 /// A best point seldom needs more vertices.
-const VERTICES: usize = 8;
+const VERTICES: usize = 12;
 
 /// Nodes whose memory is kept for the next search.
 const KEPT_MAX: usize = 500;
