@@ -326,7 +326,7 @@ impl<'a> Recorder<'a> {
         }
         if last.is_none() {
             file.discard();
-            log::warn!("no recording {}: the run has left no logs", path.display());
+            log::warn!("no recording {}: the run has written no logs", path.display());
         } else {
             let unwritable = file.unwritable();
             file.finish().map_err(|error| match error.downcast::<Poorer>() {

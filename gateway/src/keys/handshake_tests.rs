@@ -100,7 +100,7 @@ fn peer_of(connection: &Connection) -> Option<Peer> {
     Some(Peer::of(&chain).unwrap())
 }
 
-/// Refused however often it is tried: nothing that one attempt leaves behind opens the door for the next.
+/// Refused however often it is tried: nothing that one attempt leaves behind lets the next one in.
 fn assert_refused(server: ServerConfig, client: ClientConfig, cause: RefusalCause) {
     for attempt in 1..=ATTEMPTS {
         let outcome = connect(server.clone(), client.clone());

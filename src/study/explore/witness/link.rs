@@ -39,7 +39,7 @@ impl Reports {
         }
     }
 
-    /// A process of a robot has ended, with the measurements that it had not got rid of.
+    /// A process of a robot has ended, with the measurements that it had not sent yet.
     pub(in crate::study::explore) fn forget(&mut self, robot: usize) {
         self.measured.retain(|(of, _), _| *of != robot);
     }
