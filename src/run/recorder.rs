@@ -70,7 +70,7 @@ pub fn record_run(name: &RunName, out: Out<'_>, bytes_max: u64) -> Result<Option
     rendezvous.map(|rendezvous| follow(&rendezvous.observe(), out, bytes_max, &termination)).transpose()
 }
 
-/// What has been recorded; its fields are the keys of `--json`.
+/// The outcome of a recording; its fields are the keys of `--json`.
 #[derive(Debug, Serialize)]
 pub struct Recorded {
     /// The file; none if there was nothing to record.

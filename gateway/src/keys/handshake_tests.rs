@@ -1,4 +1,4 @@
-//! Who is let in and who is not, with a gateway and a robot's host on loopback.
+//! Hosts that are let in and hosts that are not, with a gateway and a robot's host on loopback.
 
 use std::net::{Ipv4Addr, SocketAddr};
 use std::sync::Arc;

@@ -31,7 +31,7 @@ const MISFIT: Duration = Duration::from_secs(1);
 /// Time in which a robot that leaves must reach the gateway.
 const FAREWELL: Duration = Duration::from_millis(500);
 
-/// What happened at the link.
+/// An event at the link.
 pub(super) enum Happened {
     /// The robot has joined.
     Joined(Box<Session>),
@@ -300,7 +300,7 @@ async fn notice_of(mut receive: RecvStream) -> Option<Notice> {
 }
 
 impl Session {
-    /// What happens next, or nothing after this time.
+    /// The next event, or none after this time.
     pub(super) async fn next(&mut self, wait: Duration) -> Happened {
         let Self { connection, notice, is_noticed, .. } = self;
         let received = tokio::select! {

@@ -1,4 +1,4 @@
-//! Who may take part, and what strangers can do: nothing.
+//! Hosts that may take part, and strangers, who can do nothing.
 
 use std::net::{Ipv4Addr, SocketAddr, UdpSocket};
 use std::path::PathBuf;
@@ -242,7 +242,7 @@ const FIRST_STRANGERS: u64 = 1_000;
 /// Growth of the gateway's memory from then on, kB: two for each stranger. A handshake under way takes about 50.
 const STRANGERS_GROWTH_KB_MAX: u64 = 8 * FIRST_STRANGERS;
 
-/// What handshakes of strangers cost in memory is bounded.
+/// The memory that handshakes of strangers cost is bounded.
 #[test]
 fn handshakes_of_strangers_cost_no_memory() {
     let run = with_keys();

@@ -507,7 +507,10 @@ fn ranges_in_another_unit_than_their_column_says_are_doubted() {
 #[test]
 fn files_that_are_no_tables_say_so() {
     assert!(complaint([0xFF, 0xFE, b't', 0], &ReadOptions::default()).contains("iconv -f UTF-16 -t UTF-8"));
-    assert!(complaint([0x1F, 0x8B, 8, 0], &ReadOptions::default()).contains("gzip: expected text: unpack it, or give `zcat FILE`"));
+    assert!(
+        complaint([0x1F, 0x8B, 8, 0], &ReadOptions::default())
+            .contains("gzip: expected text: unpack it, or give `zcat FILE`")
+    );
     assert!(complaint(b"", &ReadOptions::default()).contains(" is empty: expected a header that names the columns"));
     for (start, word) in [
         (&b"\x28\xb5\x2f\xfd\x04abc"[..], "zstdcat FILE"),

@@ -150,7 +150,7 @@ impl Found {
         self.findings.sensors.iter().any(|sensor| sensor.range_std_m.is_some()) && self.findings.accel_psd.is_some()
     }
 
-    /// What the data do not determine, and why.
+    /// The values that the data do not determine, and why.
     #[must_use]
     pub fn obstacle(&self) -> &str {
         self.findings.undetermined.first().map_or("nothing was found", String::as_str)

@@ -25,7 +25,7 @@ pub(super) struct Outcome {
     pub(super) robots: usize,
     /// Hosts, the run's included.
     pub(super) hosts: usize,
-    /// What the network between them does to packets; null on one host.
+    /// The conditions of the network between them; null on one host.
     pub(super) network: Option<Conditions>,
     /// Seed of the faults.
     pub(super) chaos_seed: u64,

@@ -31,7 +31,7 @@ pub(super) fn log(out_dir: &Path) -> PathBuf {
 #[derive(Debug)]
 pub(super) struct Programs(Vec<(PathBuf, Identity)>);
 
-/// What shows that a file is still the same: its device, number, length and time of change.
+/// The identity of a file: its device, number, length and time of change.
 type Identity = (u64, u64, u64, i64);
 
 impl Programs {

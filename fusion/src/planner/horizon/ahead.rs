@@ -1,4 +1,4 @@
-//! What is known of the target at the steps ahead, given where the robots measure.
+//! The belief about the target at the steps ahead, given where the robots measure.
 
 use nalgebra::{Matrix2, Vector2};
 use rangehound_shared::motion::Transition;

@@ -102,12 +102,7 @@ impl<R: Read> Table<R> {
     }
 
     /// Takes the first line as the header, unless the file has none.
-    fn take_header(
-        &mut self,
-        known: usize,
-        by_number: Option<bool>,
-        has_comments: bool,
-    ) -> Result<(), RecordingError> {
+    fn take_header(&mut self, known: usize, by_number: Option<bool>, has_comments: bool) -> Result<(), RecordingError> {
         let Some((number, line)) = self.pending.pop_front() else {
             return Err(if has_comments {
                 self.error("only comments", "expected a header that names the columns")
