@@ -46,9 +46,13 @@ impl Failure {
     }
 }
 
-/// Reports a problem on standard error, in one line.
-pub fn complain(problem: &str) {
+fn complain(problem: &str) {
     print_stderr(format_args!("{BAD}rangehound:{BAD:#} {}", one_short_line(problem)));
+}
+
+/// Reports a problem at a place on standard error, in one line. A long problem is cut, but its place is always there.
+pub fn complain_at(problem: &str, place: &str) {
+    print_stderr(format_args!("{BAD}rangehound:{BAD:#} {}", located(one_short_line(problem), one_short_line(place))));
 }
 
 /// The message of an error that does not know its place, with the place between what is wrong and what was expected.

@@ -37,7 +37,7 @@ pub fn plan(table: PlannerTable, seed: Option<u64>, file: Option<&Path>) -> Resu
     };
     let complain = |number: u64, problem: &str| {
         // If standard error is closed, the line's answer still has the error.
-        failure::complain(&failure::located(problem, format_args!("{name}, line {number}")));
+        failure::complain_at(problem, &format!("{name}, line {number}"));
     };
     match serve(&mut solver, input, io::stdout().lock(), LINE_BYTES_MAX, complain) {
         Ok(0) => Ok(()),

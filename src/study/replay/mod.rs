@@ -75,10 +75,10 @@ pub struct Show {
     pub speed: f64,
 }
 
-/// Why a file is opened, as a verb for its errors.
+/// The use of a file in its errors, as a verb.
 const REPLAY: &str = "replay";
 
-/// What to do with a damaged file.
+/// The end of errors of a damaged file.
 const DAMAGED: &str = "the file is damaged: `rangehound replay --repair` keeps the ticks before the damage";
 
 fn open(path: &Path, verb: &str) -> Result<FrameReader<BufReader<File>>, Failure> {
