@@ -50,6 +50,21 @@ fn complain(problem: &str) {
     print_stderr(format_args!("{BAD}rangehound:{BAD:#} {}", one_short_line(problem)));
 }
 
+/// Reports a problem at a place on standard error, in one line. A long problem is cut, but its place is always there.
+pub fn complain_at(problem: &str, place: &str) {
+    print_stderr(format_args!("{BAD}rangehound:{BAD:#} {}", located(one_short_line(problem), one_short_line(place))));
+}
+
+/// The message of an error that does not know its place, with the place between what is wrong and what was expected.
+#[must_use]
+pub fn located(error: impl std::fmt::Display, place: impl std::fmt::Display) -> String {
+    let message = error.to_string();
+    match message.split_once(": ") {
+        Some((wrong, expected)) => format!("{wrong} in {place}: {expected}"),
+        None => format!("{message} in {place}"),
+    }
+}
+
 /// An error with its causes, each once: many errors quote their cause themselves. If a limit of the system was reached,
 /// it is named.
 #[must_use]

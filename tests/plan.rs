@@ -446,7 +446,8 @@ fn a_bad_line_is_reported_by_number_and_key_and_the_others_are_answered() {
         assert!(error.contains(names) && error.contains("expected"), "{bad}: {error}");
         assert_eq!(answer.as_object().unwrap().len(), 2);
         assert!(!error.starts_with('?') && !error.contains(".?"), "{bad}: {error}");
-        assert_eq!(complaints[k], format!("error: steps.jsonl: line {number}: {error}"));
+        let (wrong, expected) = error.split_once(": ").unwrap();
+        assert_eq!(complaints[k], format!("rangehound: {wrong} in steps.jsonl, line {number}: {expected}"));
     }
 }
 
@@ -489,7 +490,7 @@ fn the_grid_search_is_refused_for_a_camera() {
     for (line, flags, key) in [(&named, "", "planner"), (&line, "--planner grid", "--planner")] {
         let outcome = planned(&[line], flags);
         assert_eq!(outcome.code, Some(2), "{outcome:#?}");
-        let expected = format!("line 1: {key} is grid: expected another planner, such as certified");
+        let expected = format!("{key} is grid in steps.jsonl, line 1: expected another planner, such as certified");
         assert!(outcome.stderr.contains(&expected), "{}", outcome.stderr);
     }
 }

@@ -63,7 +63,7 @@ pub fn paper_problems(stand_off_m: f64) -> Option<Vec<Problem>> {
     Some(problems)
 }
 
-/// What the robots of a random problem measure.
+/// The sensors of the robots of a random problem.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Kind {
     /// Ranges, bearings or both, each robot its own.

@@ -19,7 +19,7 @@ pub(crate) struct Tracking {
     stds_per_m: Vec<f64>,
     nuisances: Vec<NuisanceSpec>,
     readings: Vec<Reading>,
-    /// What the last step did with each robot's report.
+    /// The outcome of each robot's report in the last step.
     judged: Vec<JudgedKinds>,
 }
 
@@ -39,7 +39,7 @@ impl Tracking {
         }
     }
 
-    /// What the last step did with each robot's report.
+    /// The outcome of each robot's report in the last step.
     pub(crate) fn judged(&self) -> &[JudgedKinds] {
         &self.judged
     }

@@ -116,7 +116,7 @@ struct Noise {
 pub struct Decision {
     /// The robot.
     pub robot: usize,
-    /// What it measured.
+    /// Its measurement.
     pub kind: Kind,
     /// True if the measurement failed the gate.
     pub has_failed: bool,

@@ -1,4 +1,4 @@
-//! What a gateway tells the tools of its host about the robots on other hosts, and what they tell it.
+//! The notes of a gateway to the tools of its host about the robots on other hosts, and their orders to it.
 
 use std::collections::BTreeMap;
 

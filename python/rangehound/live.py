@@ -178,9 +178,9 @@ class LiveRun:
             if self._problem is not None:
                 raise RunError(self._problem)
             self._log.seek(0)
-            said = self._log.read().strip().splitlines()
+            lines = self._log.read().strip().splitlines()
             if self._process.returncode != 0:
-                line = said[-1].removeprefix("rangehound: ") if said else f"exit code {self._process.returncode}"
+                line = lines[-1].removeprefix("rangehound: ") if lines else f"exit code {self._process.returncode}"
                 raise (InputError if self._process.returncode == 2 else RunError)(line)
             self._report = json.loads(out)
         return self._report
@@ -204,18 +204,18 @@ class LiveRun:
 
         context = multiprocessing.get_context("fork")
         while self._process.poll() is None:
-            hears, tells = context.Pipe(duplex=False)
-            fusion = context.Process(target=_plan, args=(self.name, planner, tells), daemon=True)
+            receiver, sender = context.Pipe(duplex=False)
+            fusion = context.Process(target=_plan, args=(self.name, planner, sender), daemon=True)
             fusion.start()
-            tells.close()
-            while not hears.poll(_LOOK_S):
+            sender.close()
+            while not receiver.poll(_LOOK_S):
                 if self._process.poll() is not None:
                     # A run that was stopped does not tell those that it has not started.
                     fusion.join(timeout=_LEAVE_S)
                     fusion.terminate()
                     return
             with contextlib.suppress(EOFError):
-                self._problem = hears.recv()
+                self._problem = receiver.recv()
                 self._process.terminate()
             fusion.join()
             if fusion.exitcode == 0 or self._problem is not None:
@@ -240,8 +240,8 @@ class LiveRun:
         return done.stdout
 
 
-def _plan(name: str, planner: Callable[..., Any], tells: Any) -> None:
-    """The process of a fusion: says what has gone wrong."""
+def _plan(name: str, planner: Callable[..., Any], sender: Any) -> None:
+    """The process of a fusion: sends what has gone wrong."""
     # Ctrl-C is for the process that has started the run, and ends it in order.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
@@ -249,8 +249,8 @@ def _plan(name: str, planner: Callable[..., Any], tells: Any) -> None:
         fusion(name, planner)
     except Exception as error:
         traceback.print_exc()
-        said = str(error).partition("\n")[0]
-        tells.send(said if isinstance(error, (InputError, RunError)) else f"the planner raised {type(error).__name__}: {said}")
+        problem = str(error).partition("\n")[0]
+        sender.send(problem if isinstance(error, (InputError, RunError)) else f"the planner raised {type(error).__name__}: {problem}")
         sys.exit(1)
 
 

@@ -42,7 +42,7 @@ const IDLE: Duration = Duration::from_millis(100);
 const DESERTED: Duration = Duration::from_secs(3);
 
 /// How long a node may take to end after it has been asked to.
-const LAST_WORDS: Duration = Duration::from_secs(2);
+const END_WAIT: Duration = Duration::from_secs(2);
 
 /// How often a node's process acts on signals.
 const LOOK: Duration = Duration::from_millis(20);
@@ -298,7 +298,7 @@ fn run_node(
         }
         if ended.is_err() || raised.is_set() {
             termination.request();
-            if asked.get_or_insert_with(Instant::now).elapsed() > LAST_WORDS {
+            if asked.get_or_insert_with(Instant::now).elapsed() > END_WAIT {
                 // A function does not return. Its thread ends with the process; the run must not wait for that. In a thread, because
                 // whoever takes a role is named after it.
                 py.detach(|| {

@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use pyo3::prelude::*;
+use rangehound::failure;
 use rangehound::files::input as files;
 use rangehound::files::layout::SCENARIO;
 use rangehound::run::experiment::Given;
@@ -33,7 +34,7 @@ impl Scenario {
         };
         let checked = checked.map_err(input)?;
         planner::for_team(checked.planner, checked.robots.len(), checked.seed)
-            .map_err(|error| input(format!("{error} (in {file_name})")))?;
+            .map_err(|error| input(failure::located(error, file_name)))?;
         Ok(Self { given, checked })
     }
 

@@ -1,4 +1,4 @@
-//! What a planner sees, and planners that are Python functions.
+//! The situation of a planner, and planners that are Python functions.
 
 use numpy::PyArrayDyn;
 use pyo3::prelude::*;
@@ -192,7 +192,7 @@ pub(crate) fn name_of(function: &Bound<'_, PyAny>) -> String {
     name.and_then(|name| name.extract()).unwrap_or_else(|_| "planner".to_owned())
 }
 
-/// What is wrong with headings.
+/// The fault of headings.
 pub(crate) enum Wrong {
     Raised(PyErr),
     Is(String),

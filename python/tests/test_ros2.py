@@ -33,7 +33,7 @@ POSE, TWIST = "geometry_msgs/PoseWithCovarianceStamped", "geometry_msgs/TwistSta
 
 
 #: The player repeats itself: on a busy machine a tick waits until it is heard.
-PATIENT = ["-p", "lockstep_wait_s:=60.0"]
+LONG_WAIT = ["-p", "lockstep_wait_s:=60.0"]
 
 
 @pytest.fixture
@@ -121,7 +121,7 @@ def test_three_robots_of_ros_track_as_well_as_our_own_and_no_message_is_lost(pro
     topics = dict(target__pose=POSE, target__odom="nav_msgs/Odometry", robot_1__pose=POSE, robot_1__cmd_vel=TWIST)
     ears = listener(ros, **topics)
     with rh.run(scenario, name=name, out=tmp_path / "out", program=program, external=[0, 1, 2]) as run:
-        bridge = node(ros, name, "--robots", "all", "--from-start", "--ros-args", "-p", "max_turn_rate_radps:=10.0", "-p", "heading_gain_per_s:=10.0", *PATIENT)
+        bridge = node(ros, name, "--robots", "all", "--from-start", "--ros-args", "-p", "max_turn_rate_radps:=10.0", "-p", "heading_gain_per_s:=10.0", *LONG_WAIT)
         report = run.report()
     ended(bridge)
     messages = heard(ears)
@@ -164,7 +164,7 @@ def test_uncertain_robots_with_cameras_and_frames_of_their_own_say_what_ros_says
     covariance = np.array([[0.04, 0.01, 0.0], [0.01, 0.09, 0.0], [0.0, 0.0, 0.0025]])
     play(ros, tmp_path, scenario, oracle, bearing_noise=noise, covariance=covariance, origin=[3.0, -4.0, np.pi / 2])
     with rh.run(scenario, name=name, out=tmp_path / "out", program=program, external=[0, 1]) as run:
-        bridge = node(ros, name, "--robots", "all", "--ros-args", "-p", "odom_origin:=[3.0, -4.0, 1.5707963267948966]", *PATIENT)
+        bridge = node(ros, name, "--robots", "all", "--ros-args", "-p", "odom_origin:=[3.0, -4.0, 1.5707963267948966]", *LONG_WAIT)
         report = run.report()
     ended(bridge)
     live = rh.load(tmp_path / "out")

@@ -98,7 +98,7 @@ impl Kind {
 pub struct Measurement {
     /// Pose of the sensor, as the robot knows it.
     pub pose: Pose,
-    /// What was measured: the [bits](Kind::bit) of the kinds. The fields of the other kinds are zero.
+    /// The kinds that were measured: the [bits](Kind::bit) of the kinds. The fields of the other kinds are zero.
     pub kinds: u64,
     /// The range, calibrated, m: the slant range if the sensor and the target differ in height.
     pub range_m: f64,

@@ -45,7 +45,7 @@ pub struct Outgoing<T> {
 pub struct WorldEntry {
     /// Where the robot's simulated or recorded localiser says that it is.
     pub pose: Pose,
-    /// What its sensor can measure at this tick: the [bits](Kind::bit) of the kinds. The other fields are zero.
+    /// The kinds that its sensor can measure at this tick: their [bits](Kind::bit). The other fields are zero.
     pub kinds: u64,
     /// [`Origin`] of range and bearing, as a number.
     pub origin: u64,

@@ -43,7 +43,7 @@ pub struct Simulation<const N: usize> {
     entries: Vec<WorldEntry>,
 }
 
-/// What does not change of a robot.
+/// The constants of a robot.
 #[derive(Debug, Clone)]
 struct Robot {
     speed_limit_mps: f64,

@@ -17,7 +17,7 @@ pub trait World: std::fmt::Debug + Send {
     /// Time of the present tick, s.
     fn time_s(&self) -> f64;
 
-    /// What each robot's localiser says, and what its sensor can measure.
+    /// The pose from each robot's localiser, and the measurements that its sensor can make.
     fn entries(&self) -> &[WorldEntry];
 
     /// Each robot's true pose; in a recording, what its localiser said.

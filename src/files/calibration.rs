@@ -49,10 +49,12 @@ pub struct SensorCalibration {
 /// [`Failure::Input`].
 pub fn read(path: &Path) -> Result<Calibration, Failure> {
     let refuse = |problem: String| {
-        Failure::input(format!(
-            "cannot use {}: {problem}: expected a calibration as `rangehound calibrate` writes it",
-            path.display()
-        ))
+        let expected = if problem.contains(": expected ") {
+            ""
+        } else {
+            ": expected a calibration as `rangehound calibrate` writes it"
+        };
+        Failure::input(format!("cannot use {}: {problem}{expected}", path.display()))
     };
     let len = std::fs::metadata(path).map_err(|error| refuse(error.to_string()))?.len();
     if len > LEN_MAX {
@@ -67,7 +69,8 @@ pub fn read(path: &Path) -> Result<Calibration, Failure> {
 /// # Errors
 /// The first fault.
 pub fn parse(text: &str) -> Result<Calibration, String> {
-    let file: Calibration = toml::from_str(text).map_err(|error| error.message().to_owned())?;
+    let file: Calibration =
+        toml::from_str(text).map_err(|error| error.message().replacen(", expected ", ": expected ", 1))?;
     if file.version != VERSION {
         return Err(format!("its version is {}, not {VERSION}", file.version));
     }

@@ -251,16 +251,16 @@ fn watch(name: &Path) -> Arc<AtomicU64> {
     let bytes = Arc::new(AtomicU64::new(0));
     let (weak, name) = (Arc::downgrade(&bytes), name.to_owned());
     let watch = move || {
-        let (mut before, mut is_told) = (0, false);
+        let (mut before, mut is_reported) = (0, false);
         loop {
             std::thread::sleep(QUIET_MAX);
             let Some(bytes) = weak.upgrade() else { return };
             let now = bytes.load(Ordering::Relaxed);
-            if now == before && !is_told {
+            if now == before && !is_reported {
                 let given = if now == 0 { "nothing".to_owned() } else { format!("{now} bytes") };
                 log::warn!("waiting for the writer of {}, which has sent {given} so far", name.display());
             }
-            is_told = now == before;
+            is_reported = now == before;
             before = now;
         }
     };

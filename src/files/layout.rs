@@ -60,7 +60,7 @@ pub const RECORDING: &str = "run.mcap";
 /// The file of a ROS 2 bag, by its number as rosbag2 has it.
 pub const BAG_FILE: &str = "bag_0.mcap";
 
-/// What rosbag2 reads of a bag first.
+/// The file of a bag that rosbag2 reads first.
 pub const BAG_METADATA: &str = "metadata.yaml";
 
 /// The folder of the nodes' logs.

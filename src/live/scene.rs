@@ -36,7 +36,7 @@ pub(super) struct Scene {
     newest: Option<Frame>,
     trails: VecDeque<Places>,
     history: History,
-    tally: RangeCounter,
+    counts: RangeCounter,
     latencies: Latencies,
     rate: VecDeque<(Instant, u64)>,
     nodes: Option<(u64, Value)>,
@@ -88,7 +88,7 @@ struct Picture<'a> {
     estimate_m: [f64; 2],
     covariance_m2: [f64; 3],
     robots: Vec<Robot>,
-    tally: Counts,
+    counts: Counts,
     latency: Latency,
     history: News<'a>,
 }
@@ -159,12 +159,12 @@ impl Scene {
 
     /// Counts a tick's ranges, or replaces their counts.
     pub(super) fn count_ranges(&mut self, tick: u64, estimate: &Estimate) {
-        self.tally.count(tick, estimate);
+        self.counts.count(tick, estimate);
     }
 
     /// Ticks that may still change and are read again.
     pub(super) fn unsettled(&self) -> Vec<u64> {
-        self.tally.recent.iter().map(|(tick, _)| *tick).collect()
+        self.counts.recent.iter().map(|(tick, _)| *tick).collect()
     }
 
     /// Updates the trails and the tick rate. Call it after each look, even without new ticks.
@@ -249,7 +249,7 @@ impl Scene {
                     }
                 })
                 .collect(),
-            tally: self.tally.counts(),
+            counts: self.counts.counts(),
             latency: self.latencies.summary(),
             history: self.history.news(known),
         }
@@ -377,17 +377,17 @@ mod tests {
 
     #[test]
     fn what_came_late_was_not_missing_and_a_tick_read_again_counts_once() {
-        let mut tally = RangeCounter::default();
+        let mut counts = RangeCounter::default();
         let tick = |fused, missing| Estimate { fused, missing, ..Estimate::default() };
-        tally.count(1, &tick(3, 0));
+        counts.count(1, &tick(3, 0));
         // Recorded again after a kill.
-        tally.count(1, &tick(1, 2));
-        tally.count(2, &Estimate { late: 3, fused_late: 1, rejected_late: 1, ..tick(3, 0) });
+        counts.count(1, &tick(1, 2));
+        counts.count(2, &Estimate { late: 3, fused_late: 1, rejected_late: 1, ..tick(3, 0) });
         let expected = Counts { ticks: 2, fused: 5, rejected: 1, late: 3, missing: 0 };
-        assert_eq!(tally.counts(), expected);
-        (3..=100).for_each(|at| tally.count(at, &tick(3, 0)));
-        assert_eq!(tally.counts(), Counts { ticks: 100, fused: 5 + 98 * 3, ..expected });
-        assert_eq!(tally.recent.len(), UNSETTLED_TICKS);
+        assert_eq!(counts.counts(), expected);
+        (3..=100).for_each(|at| counts.count(at, &tick(3, 0)));
+        assert_eq!(counts.counts(), Counts { ticks: 100, fused: 5 + 98 * 3, ..expected });
+        assert_eq!(counts.recent.len(), UNSETTLED_TICKS);
     }
 
     #[test]

@@ -12,7 +12,7 @@ use std::path::Path;
 
 use rangehound_shared::scenario::{PlannerTable, defaults};
 
-use crate::failure::Failure;
+use crate::failure::{self, Failure};
 use line::LineSolver;
 
 /// Longest accepted line, bytes: some 300 000 robots.
@@ -37,7 +37,7 @@ pub fn plan(table: PlannerTable, seed: Option<u64>, file: Option<&Path>) -> Resu
     };
     let complain = |number: u64, problem: &str| {
         // If standard error is closed, the line's answer still has the error.
-        let _ = writeln!(io::stderr(), "error: {name}: line {number}: {problem}");
+        failure::complain_at(problem, &format!("{name}, line {number}"));
     };
     match serve(&mut solver, input, io::stdout().lock(), LINE_BYTES_MAX, complain) {
         Ok(0) => Ok(()),

@@ -20,8 +20,8 @@ const POINTS_MAX: u64 = 1_500;
 /// Most points of all robots' paths together, so that the page stays small enough to send.
 const ROBOT_POINTS_MAX: u64 = 50_000;
 
-/// Buckets that a run is cut into.
-const STRETCHES_MAX: u64 = 300;
+/// Most buckets that a run is cut into.
+const BUCKETS_MAX: u64 = 300;
 
 /// Largest number that axes can be made for.
 pub const DRAWABLE_MAX: f64 = 1e15;
@@ -116,7 +116,7 @@ impl Curves {
     fn add(&mut self, logged: LoggedTick<'_>, scenario: &Scenario, thinning: Thinning, truth: Option<&Truth>) {
         let LoggedTick { tick, fusion, world } = logged;
         if let Some(FusionRecord { time_s, estimate, .. }) = fusion {
-            self.add_to_stretch(tick, *time_s, estimate, thinning);
+            self.add_to_bucket(tick, *time_s, estimate, thinning);
             if thinning.keeps(tick) {
                 self.times_s.push(*time_s);
                 self.paths.estimates_m.push(Vector2::new(estimate.state[0], estimate.state[1]));
@@ -149,7 +149,7 @@ impl Curves {
         }
     }
 
-    fn add_to_stretch(&mut self, tick: u64, time_s: f64, estimate: &Estimate, thinning: Thinning) {
+    fn add_to_bucket(&mut self, tick: u64, time_s: f64, estimate: &Estimate, thinning: Thinning) {
         let Self { buckets, .. } = self;
         if buckets.last().is_none_or(|last| tick - last.first_tick >= thinning.bucket) {
             buckets.push(Bucket { first_tick: tick, time_s, ..Bucket::default() });
@@ -236,7 +236,7 @@ impl Thinning {
     fn of(scenario: &Scenario) -> Self {
         let points = (ROBOT_POINTS_MAX / scenario.robots.len().max(1) as u64).clamp(1, POINTS_MAX);
         let last = scenario.ticks;
-        Self { every: last / points + 1, last, bucket: last / STRETCHES_MAX + 1 }
+        Self { every: last / points + 1, last, bucket: last / BUCKETS_MAX + 1 }
     }
 
     fn keeps(self, tick: u64) -> bool {

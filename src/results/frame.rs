@@ -83,7 +83,7 @@ impl Frames {
         Ok(self.fusion.at(tick)?.map(|record| record.estimate))
     }
 
-    /// What is logged of a tick so far.
+    /// The part of a tick that is logged so far.
     ///
     /// # Errors
     /// If a log cannot be read.

@@ -140,7 +140,7 @@ impl Experiment {
             file.recording = Some(recording.of_copy());
         }
         planner::for_team(scenario.planner, scenario.robots.len(), scenario.seed)
-            .map_err(|error| Failure::input(format!("{error} (in {file_name})")))?;
+            .map_err(|error| Failure::Input(failure::located(error, &file_name)))?;
         let folder = std::path::absolute(out.unwrap_or(Path::new(RUNS)));
         in_utf8("--out", &folder.map_err(|error| Failure::input(format!("--out: {error}")))?)?;
         let (name, numbered) = match (name, naming) {

@@ -1,4 +1,4 @@
-//! What others start of a run on this host.
+//! The nodes of a run that others start on this host.
 
 use std::collections::BTreeSet;
 use std::str::FromStr;

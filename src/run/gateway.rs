@@ -49,7 +49,7 @@ pub fn check(listen: SocketAddr, keys: Option<&Path>) -> Result<SocketAddr, Fail
     Err(Failure::input(text.trim().trim_start_matches("rangehound: ").to_owned()))
 }
 
-/// What that program can measure for `latency`: the names of the transports that it was built with.
+/// The transports that the program can measure for `latency`: the names of the transports that it was built with.
 ///
 /// # Errors
 /// [`Failure`] if it is not installed or does not answer.

@@ -70,7 +70,7 @@ pub fn record_run(name: &RunName, out: Out<'_>, bytes_max: u64) -> Result<Option
     rendezvous.map(|rendezvous| follow(&rendezvous.observe(), out, bytes_max, &termination)).transpose()
 }
 
-/// What has been recorded; its fields are the keys of `--json`.
+/// The outcome of a recording; its fields are the keys of `--json`.
 #[derive(Debug, Serialize)]
 pub struct Recorded {
     /// The file; none if there was nothing to record.
@@ -326,7 +326,7 @@ impl<'a> Recorder<'a> {
         }
         if last.is_none() {
             file.discard();
-            log::warn!("no recording {}: the run has left no logs", path.display());
+            log::warn!("no recording {}: the run has written no logs", path.display());
         } else {
             let unwritable = file.unwritable();
             file.finish().map_err(|error| match error.downcast::<Poorer>() {

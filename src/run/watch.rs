@@ -23,16 +23,16 @@ pub const LOOK: Duration = Duration::from_millis(50);
 const LINE: Duration = Duration::from_secs(2);
 
 /// How long fusion may take to record its last tick after the run's end. By then a supervisor has killed a hung fusion.
-const LAST_WORDS: Duration = Duration::from_secs(10);
+const END_WAIT: Duration = Duration::from_secs(10);
 
 /// The same if an end is requested before the run's end: the request may concern only this process.
-const EARLY_LAST_WORDS: Duration = Duration::from_secs(1);
+const EARLY_END_WAIT: Duration = Duration::from_secs(1);
 
 /// Time without a supervisor after which a supervised run has ended: one that makes its shared memory again takes its role a
 /// moment after the run is there.
 const UNSUPERVISED: Duration = Duration::from_millis(500);
 
-const LAST_WORDS_POLL: Duration = Duration::from_millis(5);
+const END_WAIT_POLL: Duration = Duration::from_millis(5);
 
 /// The newest ticks of the two nodes that write logs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -237,11 +237,11 @@ fn watch_until_removed(name: &RunName, json: bool, termination: &Termination) ->
 pub fn wait_for_last_estimate(run: &Rendezvous) -> bool {
     let began = Instant::now();
     while run.roster().is_held(Role::Fusion) {
-        let at_most = if run.is_finished() { LAST_WORDS } else { EARLY_LAST_WORDS };
+        let at_most = if run.is_finished() { END_WAIT } else { EARLY_END_WAIT };
         if began.elapsed() >= at_most {
             return false;
         }
-        std::thread::sleep(LAST_WORDS_POLL);
+        std::thread::sleep(END_WAIT_POLL);
     }
     true
 }

@@ -152,7 +152,7 @@ fn recordings_that_make_no_sense_are_refused_by_row() {
     // One bad row is skipped; if most rows are bad, the file is refused.
     let mostly = |row: &str| format!("{HEADER}{row}\n{row}\n0.2,1,0,0,5\n").into_bytes();
     let files = [
-        (Vec::new(), "row 0"),
+        (Vec::new(), "bad.csv is empty: expected a header"),
         (HEADER.into(), "row 0"),
         (b"time_s,sensor_id,sensor_x_m,sensor_y_m\n0,1,0,0\n".to_vec(), "range_m"),
         (b"0.0,1,0,0,5\n0.0,2,9,0,5\n".to_vec(), "row 0"),

@@ -130,6 +130,6 @@ impl Events {
             }
             last = data;
         }
-        panic!("the stream has ended without the {name} that was waited for; its last word was {last}");
+        panic!("the stream has ended without the {name} that was waited for; the last event was {last}");
     }
 }

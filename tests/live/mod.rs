@@ -308,7 +308,7 @@ fn a_killed_page_returns_at_its_address_with_its_history() {
     });
     // Counts, curves and trails include the time before the kill.
     Events::open(&page).until("picture", |picture| {
-        let ticks = picture["tally"]["ticks"].as_u64().unwrap();
+        let ticks = picture["counts"]["ticks"].as_u64().unwrap();
         let points = picture["history"]["points"].as_array().unwrap();
         ticks >= 20 && points.len() >= 20 && points[0][0] == 1
     });

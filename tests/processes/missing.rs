@@ -1,4 +1,4 @@
-//! What the other nodes do while a node is missing: the rows of the table in docs/recover.md.
+//! The behaviour of the other nodes while a node is missing: the rows of the table in docs/recover.md.
 
 use std::time::Duration;
 

@@ -178,6 +178,6 @@ fn without_its_checkpoints_the_run_ends_with_the_cause() {
     let outcome = supervisor.finish();
     assert_eq!(outcome.code, Some(1), "{outcome:#?}");
     let [complaint] = outcome.complaints()[..] else { panic!("{outcome:#?}") };
-    assert!(complaint.contains("was removed from outside") && complaint.contains("left no state"), "{complaint}");
+    assert!(complaint.contains("was removed from outside") && complaint.contains("saved no state"), "{complaint}");
     run.assert_nothing_left();
 }

@@ -171,7 +171,7 @@ fn without_its_folder_a_run_goes_on_until_it_would_need_it() {
     let outcome = supervisor.finish();
     assert_eq!(outcome.code, Some(1), "{outcome:#?}");
     let [of_fusion, of_supervisor] = outcome.complaints()[..] else { panic!("{outcome:#?}") };
-    assert!(of_fusion.contains("fusion of run") && of_fusion.contains("left no state"), "{outcome:#?}");
+    assert!(of_fusion.contains("fusion of run") && of_fusion.contains("saved no state"), "{outcome:#?}");
     assert!(of_supervisor.contains("fusion exited with code 2"), "{outcome:#?}");
     run.assert_nothing_left();
 }

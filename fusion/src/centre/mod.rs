@@ -487,7 +487,7 @@ fn sensor_of(reported: &SensorSpec, body: &Body, noise_scales: [f64; Kind::COUNT
     SensorSpec { range, bearing_std_rad, ..*reported }
 }
 
-/// What is left of a sensor without the distrusted kinds; `None` if nothing is.
+/// A sensor without its distrusted kinds; `None` without any kind.
 fn trusted_part(sensor: SensorSpec, [no_range, no_bearing]: [bool; Kind::COUNT]) -> Option<SensorSpec> {
     let range = sensor.range.filter(|_| !no_range);
     let bearing_std_rad = sensor.bearing_std_rad.filter(|_| !no_bearing);

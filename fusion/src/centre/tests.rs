@@ -109,7 +109,7 @@ fn estimating_poses() -> Centre {
     of(&format!("{MIXED}[filter]\ngate_sigma = 4.0\nestimate = [\"pose\"]\n"))
 }
 
-/// What the team of [`MIXED`] reports.
+/// The reports of the team of [`MIXED`].
 fn mixed_report(tick: u64, id: usize) -> Option<Measurement> {
     let Measurement { pose, kinds, range_m, range_std_m, .. } = report(tick, id, 0.0)?;
     let (variance_m2, heading_std_rad) = [(0.01 + 0.001 * tick as f64, 0.0), (0.25, 0.02), (0.0, 0.0)][id];

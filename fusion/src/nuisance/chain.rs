@@ -37,7 +37,7 @@ pub struct Chain {
     is_active: bool,
 }
 
-/// What is known of one robot's nuisances.
+/// The estimate of one robot's nuisances.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub(crate) struct Known {
     covariance: Covariance,
@@ -105,7 +105,7 @@ impl Chain {
         self.robots.len()
     }
 
-    /// What the filter does about nuisances.
+    /// The filter's treatment of nuisances.
     #[must_use]
     pub fn treatment(&self) -> Treatment {
         self.treatment

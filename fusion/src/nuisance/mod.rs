@@ -56,7 +56,7 @@ pub struct Estimate<const N: usize> {
     dependence: Dependence<N>,
 }
 
-/// What is known of the dependence on nuisances.
+/// The estimate's dependence on nuisances.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 enum Dependence<const N: usize> {
     /// There are no nuisances.

@@ -36,15 +36,15 @@ pub trait Planner: std::fmt::Debug + Send {
 /// The commands of one step and what they are worth.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Plan {
-    /// What each robot is to do until it measures.
+    /// The command of each robot until it measures.
     pub commands: Vec<Command>,
-    /// What is known of the target's position then, if all that will be fused is.
+    /// The predicted information about the target's position then, if all that will be fused is.
     pub worth: Worth,
     /// How good other commands can be at best; `None` from planners that prove nothing.
     pub certificate: Option<Certificate>,
 }
 
-/// What a plan is worth: predicted information about the target's position.
+/// The worth of a plan: predicted information about the target's position.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub struct Worth {
     /// What was minimised. For teams of ranges alone the paper's `|S|`, the difference of the eigenvalues of the information,

@@ -18,7 +18,7 @@ pub struct Situation {
     pub team: Vec<TeamMember>,
     /// Clearances at the end of a step.
     pub clearance: Clearance,
-    /// What the planner is to make small.
+    /// The criterion that the planner minimises.
     pub criterion: Criterion,
     /// A step of the horizon, s: how long the robots move before they measure. The planner chooses its
     /// horizon.

@@ -29,7 +29,7 @@ use crate::nuisance::Chain;
 pub struct Reading {
     /// The robot that measured it.
     pub robot: usize,
-    /// What it is.
+    /// Its kind.
     pub kind: Kind,
     /// Pose of the robot, as it knows it.
     pub pose: Pose,

@@ -182,27 +182,27 @@ impl Guest {
                 }
             }
         };
-        let (hears, mut heard) = mpsc::channel(1);
+        let (heard_sender, mut heard) = mpsc::channel(1);
         // Apart from the rest: a read that is given up loses what it has read.
         let listen = async {
             while let Ok(notice) = link::read::<Notice>(&mut receive, Some(link::REQUEST_LEN_MAX)).await {
-                let _ = hears.send(notice).await;
+                let _ = heard_sender.send(notice).await;
             }
             std::future::pending::<()>().await;
         };
         let talk = async {
             loop {
-                let said = tokio::select! {
-                    Some(said) = heard.recv() => Some(said),
+                let notice = tokio::select! {
+                    Some(notice) = heard.recv() => Some(notice),
                     Some(order) = notices.recv() => {
                         let sent = link::write(&mut send, &order).await.is_ok();
                         let confirmed = tokio::time::timeout(FAREWELL, confirmation(&mut heard, order)).await;
-                        let said = confirmed.ok().flatten().filter(|_| sent);
-                        let _ = sender.send(Input::Ordered { robot, has_arrived: said.is_some() }).await;
-                        if said.is_none() {
+                        let notice = confirmed.ok().flatten().filter(|_| sent);
+                        let _ = sender.send(Input::Ordered { robot, has_arrived: notice.is_some() }).await;
+                        if notice.is_none() {
                             connection.close(link::SILENT, b"an order was not confirmed");
                         }
-                        said
+                        notice
                     }
                     Ok(_) = finished.wait_for(|finished| *finished) => {
                         if link::write(&mut send, &Notice::Finished).await.is_ok() {
@@ -212,7 +212,7 @@ impl Guest {
                         return;
                     }
                 };
-                if said == Some(Notice::Leaving) {
+                if notice == Some(Notice::Leaving) {
                     let _ = sender.send(Input::Leaving { robot, connection: id }).await;
                 }
             }
@@ -227,9 +227,9 @@ impl Guest {
 
 /// A robot confirms an order by the same notice, or by its farewell.
 async fn confirmation(heard: &mut Receiver<Notice>, order: Notice) -> Option<Notice> {
-    while let Some(said) = heard.recv().await {
-        if said == order || said == Notice::Leaving {
-            return Some(said);
+    while let Some(notice) = heard.recv().await {
+        if notice == order || notice == Notice::Leaving {
+            return Some(notice);
         }
     }
     None

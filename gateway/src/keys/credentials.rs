@@ -66,7 +66,7 @@ impl Credentials {
         Ok(Self { own, authority: Arc::new(authority), own_peer })
     }
 
-    /// What the host's own certificate says about it, which its peers will read.
+    /// The contents of the host's own certificate, which its peers will read.
     #[must_use]
     pub fn own(&self) -> &Peer {
         &self.own_peer

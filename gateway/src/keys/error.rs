@@ -32,7 +32,7 @@ pub enum KeysError {
     File {
         /// The file.
         path: PathBuf,
-        /// What it should hold.
+        /// The expected contents.
         expected: &'static str,
         /// What is wrong.
         reason: String,

@@ -1,4 +1,4 @@
-//! Who is let in and who is not, with a gateway and a robot's host on loopback.
+//! Hosts that are let in and hosts that are not, with a gateway and a robot's host on loopback.
 
 use std::net::{Ipv4Addr, SocketAddr};
 use std::sync::Arc;
@@ -100,7 +100,7 @@ fn peer_of(connection: &Connection) -> Option<Peer> {
     Some(Peer::of(&chain).unwrap())
 }
 
-/// Refused however often it is tried: nothing that one attempt leaves behind opens the door for the next.
+/// Refused however often it is tried: nothing that one attempt leaves behind lets the next one in.
 fn assert_refused(server: ServerConfig, client: ClientConfig, cause: RefusalCause) {
     for attempt in 1..=ATTEMPTS {
         let outcome = connect(server.clone(), client.clone());

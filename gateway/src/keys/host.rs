@@ -57,7 +57,7 @@ impl FromStr for RobotHost {
     }
 }
 
-/// What a host may do.
+/// The permissions of a host.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum HostRole {
     /// Be a gateway.
@@ -99,7 +99,7 @@ fn runs(robots: RobotSet) -> Vec<(usize, usize)> {
 pub struct Host {
     /// Its name.
     pub name: HostName,
-    /// What it may do.
+    /// Its permissions.
     pub role: HostRole,
 }
 

@@ -1,4 +1,4 @@
-//! Who is at the other end of a connection.
+//! The host at the other end of a connection.
 
 use rangehound_shared::robot_set::RobotSet;
 use rustls::pki_types::CertificateDer;
@@ -6,7 +6,7 @@ use x509_parser::extensions::GeneralName;
 
 use super::{GATEWAY_NAME, KeysError, robot_of_name};
 
-/// What a host's certificate says about it. The handshake has verified the certificate.
+/// The contents of a host's certificate. The handshake has verified the certificate.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Peer {
     /// The host's name.

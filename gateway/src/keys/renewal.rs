@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use super::files::{AUTHORITY_CERTIFICATE, HOST_CERTIFICATE, HOST_KEY};
 
-/// What is made of the keys in a folder. It is made again when their files change.
+/// A value that is made of the keys in a folder. It is made again when their files change.
 #[derive(Debug)]
 pub(crate) struct Renewed<T, F> {
     folder: Option<PathBuf>,
@@ -27,7 +27,7 @@ impl<T, E: std::fmt::Display, F: Fn(Option<&Path>) -> Result<T, E>> Renewed<T, F
         Ok(Self { made: make(folder.as_deref())?, seen, folder, make })
     }
 
-    /// What the present files make. If they cannot be used, one line says so, and what was made before stays.
+    /// The value made of the present files. If they cannot be used, one line says so, and the previous value stays.
     pub(crate) fn present(&mut self) -> &T {
         let seen = look(self.folder.as_deref());
         if seen != self.seen {

@@ -49,7 +49,7 @@ pub enum Answer {
     },
 }
 
-/// What either end says after that.
+/// A message of either end after that.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Notice {
     /// The gateway: the run is over.

@@ -47,7 +47,7 @@ const REPEAT: Duration = Duration::from_millis(20);
 /// Silence after which a robot gives up.
 const SILENCE: Duration = Duration::from_secs(10);
 
-/// What carries the frames.
+/// The transport of the frames.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
 pub enum Transport {
     /// UDP.
@@ -62,7 +62,7 @@ pub enum Transport {
 /// A reference run.
 #[derive(Debug, Clone, Copy)]
 pub struct Exchange<'a> {
-    /// What carries the frames.
+    /// The transport of the frames.
     pub transport: Transport,
     /// The centre's address.
     pub address: SocketAddr,

@@ -31,7 +31,7 @@ const MISFIT: Duration = Duration::from_secs(1);
 /// Time in which a robot that leaves must reach the gateway.
 const FAREWELL: Duration = Duration::from_millis(500);
 
-/// What happened at the link.
+/// An event at the link.
 pub(super) enum Happened {
     /// The robot has joined.
     Joined(Box<Session>),
@@ -300,21 +300,21 @@ async fn notice_of(mut receive: RecvStream) -> Option<Notice> {
 }
 
 impl Session {
-    /// What happens next, or nothing after this time.
+    /// The next event, or none after this time.
     pub(super) async fn next(&mut self, wait: Duration) -> Happened {
         let Self { connection, notice, is_noticed, .. } = self;
-        let said = tokio::select! {
+        let received = tokio::select! {
             frame = connection.read_datagram() => match frame {
                 Ok(bytes) => return Happened::Frame(bytes.into()),
                 Err(_) if *is_noticed => None,
                 // A notice may have come with the end.
                 Err(_) => timeout(FAREWELL, notice).await.ok(),
             },
-            said = &mut *notice, if !*is_noticed => Some(said),
+            ended = &mut *notice, if !*is_noticed => Some(ended),
             () = tokio::time::sleep(wait) => return Happened::Nothing,
         };
         *is_noticed = true;
-        match said {
+        match received {
             Some(Ok(Some(notice))) => Happened::Noticed(notice),
             _ => Happened::Ended,
         }
@@ -335,15 +335,15 @@ impl Session {
         self.connection.close(code, reason.as_bytes());
     }
 
-    /// Says its last word, and waits for some time until the gateway has it.
+    /// Sends its last message, and waits for some time until the gateway has it.
     pub(super) async fn say(&mut self, notice: Notice) {
-        let said = async {
+        let sending = async {
             if link::write(&mut self.send, &notice).await.is_ok() {
                 let _ = self.send.finish();
                 let _ = self.send.stopped().await;
             }
         };
-        let _ = timeout(FAREWELL, said).await;
+        let _ = timeout(FAREWELL, sending).await;
     }
 
     /// Leaves in order: the gateway frees the role.

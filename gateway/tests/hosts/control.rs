@@ -157,7 +157,7 @@ fn the_buttons_of_the_live_page_act_on_robots_whose_host_allows_it() {
             (status == 400 && text.contains(expected)).then_some(())
         });
     }
-    for (action, told) in [("kill", "killed from the run's host"), ("restart", "asked to end from the run's host")] {
+    for (action, message) in [("kill", "killed from the run's host"), ("restart", "asked to end from the run's host")] {
         is_linked(0);
         let before = starts(&run, 0);
         run.wait_for(action, || {
@@ -165,7 +165,7 @@ fn the_buttons_of_the_live_page_act_on_robots_whose_host_allows_it() {
             (status == 200 && text.contains("on the host 127.0.0.1")).then_some(())
         });
         run.wait_for("its successor", || (starts(&run, 0) > before).then_some(()));
-        assert!(obeys.stderr().contains(told), "{}", obeys.stderr());
+        assert!(obeys.stderr().contains(message), "{}", obeys.stderr());
     }
     assert!(refuses.is_running());
     std::fs::write(run.path("over"), "").unwrap();

@@ -221,7 +221,7 @@ impl Hostile {
     }
 }
 
-/// What the gateway publishes of robot 1, as every process of the run's host can see it.
+/// The samples of robot 1 that the gateway publishes, as every process of the run's host can see it.
 struct Observer {
     ranges: Subscriber<Range>,
     drives: Subscriber<Drive>,

@@ -1,4 +1,4 @@
-//! In lock step with endless patience no fault of link, gateway or robots changes a bit.
+//! In lock step without a time-out no fault of link, gateway or robots changes a bit.
 
 use std::time::Duration;
 

@@ -30,7 +30,7 @@ const NAME: &str = "RANGEHOUND_TEST_RUN";
 /// Environment variable with the interval at which it counts the time of its own clock, s, if it does.
 pub(crate) const BEATS: &str = "RANGEHOUND_TEST_BEATS";
 
-/// What its radio reads at a tick, m.
+/// The range that its radio reads at a tick, m.
 pub(crate) fn range_m(tick: u64) -> f64 {
     30.0 + 0.25 * tick as f64
 }
@@ -115,7 +115,7 @@ pub(crate) enum Asked {
     Beat,
 }
 
-/// What its equipment was asked for so far.
+/// The requests to its equipment so far.
 pub(crate) fn asked(robot: &Process) -> Vec<(Asked, u64)> {
     let text = robot.stdout();
     // A line that is being written has no end yet.

@@ -1,4 +1,4 @@
-//! Who may take part, and what strangers can do: nothing.
+//! Hosts that may take part, and strangers, who can do nothing.
 
 use std::net::{Ipv4Addr, SocketAddr, UdpSocket};
 use std::path::PathBuf;
@@ -89,8 +89,8 @@ fn wrong_foreign_and_missing_certificates_are_refused_at_both_ends() {
         let (code, text) = connect(id, keys);
         assert_eq!(code, Some(2), "{keys}: {text}");
         // On a busy machine an attempt may end before its refusal.
-        let said: Vec<&str> = text.lines().filter(|line| !line.contains("no answer")).collect();
-        assert!(said.len() == 1 && said[0].contains(robot_says), "{keys}: {text}");
+        let complaints: Vec<&str> = text.lines().filter(|line| !line.contains("no answer")).collect();
+        assert!(complaints.len() == 1 && complaints[0].contains(robot_says), "{keys}: {text}");
         run.wait_for("the gateway's line", || supervisor.stderr().contains(gateway_says).then_some(()));
     }
     let robots = [(0, "alice"), (1, "alice"), (2, "bob")]
@@ -265,7 +265,7 @@ const FIRST_STRANGERS: u64 = 1_000;
 /// Growth of the gateway's memory from then on, kB: two for each stranger. A handshake under way takes about 50.
 const STRANGERS_GROWTH_KB_MAX: u64 = 8 * FIRST_STRANGERS;
 
-/// What handshakes of strangers cost in memory is bounded.
+/// The memory that handshakes of strangers cost is bounded.
 #[test]
 fn handshakes_of_strangers_cost_no_memory() {
     let run = with_keys();
@@ -419,8 +419,8 @@ fn of_a_hundred_attempts_with_each_wrong_certificate_none_is_accepted() {
         let mut unanswered = 0;
         for _ in 0..ATTEMPTS {
             let (code, text) = run.finish(&format!("robot --id {id} --connect {gateway} {}", option(robot_keys)));
-            let (no_answer, said): (Vec<_>, Vec<_>) = text.lines().partition(|line| line.contains("no answer"));
-            assert!(code == Some(2) && said.len() == 1 && said[0].contains(line), "{robot_keys}: {text}");
+            let (no_answer, complaints): (Vec<_>, Vec<_>) = text.lines().partition(|line| line.contains("no answer"));
+            assert!(code == Some(2) && complaints.len() == 1 && complaints[0].contains(line), "{robot_keys}: {text}");
             // On a busy machine an attempt may end before its refusal.
             unanswered += no_answer.len() as u64;
         }

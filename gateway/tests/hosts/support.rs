@@ -132,12 +132,12 @@ impl Run {
         serde_json::from_str(&text).unwrap()
     }
 
-    /// What the simulator has recorded of each tick.
+    /// The simulator's record of each tick.
     pub(crate) fn worlds(&self) -> Vec<(u64, WorldRecord)> {
         self.records(logs::read_worlds)
     }
 
-    /// What fusion has recorded of each tick.
+    /// Fusion's record of each tick.
     pub(crate) fn estimates(&self) -> Vec<(u64, FusionRecord)> {
         self.records(logs::read_estimates)
     }
@@ -168,7 +168,7 @@ impl Run {
         serde_json::from_slice(&output.stdout).ok()
     }
 
-    /// What the gateway has refused, by cause, from the note that `status` reads too: without a process, so that it costs no time.
+    /// The gateway's refusals, by cause, from the note that `status` reads too: without a process, so that it costs no time.
     pub(crate) fn refusals(&self) -> Value {
         let note = std::fs::read(self.shared_folder().join("gateway")).unwrap_or_default();
         serde_json::from_slice(&note).map(|note: Value| note["refusals"].clone()).unwrap_or_default()
@@ -300,7 +300,7 @@ impl Drop for Process {
     }
 }
 
-/// What a link does to packets.
+/// The faults of a link.
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct Faults {
     pub(crate) loss: f64,

@@ -66,7 +66,7 @@ pub enum RendezvousError {
         source: std::io::Error,
     },
     /// The role's process has ended, and the state that a successor needs is missing.
-    #[error("{role} of run {name} ended and left no state to resume from: start a new run")]
+    #[error("{role} of run {name} ended and saved no state to resume from: start a new run")]
     StateLost {
         /// The role.
         role: Role,

@@ -23,7 +23,7 @@ use super::{RendezvousError, Role};
 use crate::system::clock::monotonic_ns;
 
 /// Heartbeat interval of a holder that wakes up often enough.
-const SIGN: Duration = Duration::from_millis(50);
+const HEARTBEAT: Duration = Duration::from_millis(50);
 
 /// A process that checks whether a role is held locks its file briefly: retry for this long before reporting a holder.
 const TRY_LOCK_TIME: Duration = Duration::from_millis(20);
@@ -307,7 +307,7 @@ impl RoleLease {
 
     /// Sends a heartbeat at intervals; call it in each round of a node's loop, with the time, monotonic ns.
     pub fn renew(&self, now_ns: u64) {
-        if now_ns.saturating_sub(self.renewed_ns.get()) >= SIGN.as_nanos() as u64 {
+        if now_ns.saturating_sub(self.renewed_ns.get()) >= HEARTBEAT.as_nanos() as u64 {
             self.renewed_ns.set(now_ns);
             // Observers see a failure as a missing heartbeat.
             let _ = self.file.set_modified(SystemTime::now());
@@ -405,7 +405,7 @@ mod tests {
         let roster = run.roster();
         let old = roster.take(Role::Fusion).unwrap();
         let silence = roster.last_heartbeat(Role::Fusion).unwrap();
-        std::thread::sleep(2 * SIGN);
+        std::thread::sleep(2 * HEARTBEAT);
         old.renew(monotonic_ns());
         assert!(roster.depose(Role::Fusion, silence).unwrap().is_none() && old.is_current());
 
@@ -417,7 +417,7 @@ mod tests {
         assert_eq!(run.while_current(&old, || 7).unwrap(), None);
         // Its heartbeats and its end no longer affect the role.
         let silence = roster.last_heartbeat(Role::Fusion);
-        std::thread::sleep(2 * SIGN);
+        std::thread::sleep(2 * HEARTBEAT);
         old.renew(monotonic_ns());
         assert_eq!(roster.last_heartbeat(Role::Fusion), silence);
         drop(old);

@@ -30,7 +30,7 @@ pub enum Shortage {
         robots: usize,
         /// How many they need.
         needed: u64,
-        /// What the system allows at most.
+        /// The most that the system allows.
         limit: u64,
     },
     /// Of shared memory.

@@ -46,7 +46,7 @@ class Link(threading.Thread):
         self.lock = threading.Lock()
         self.error: BaseException | None = None
         self._closing = threading.Event()
-        self._said = ""
+        self._reported = ""
         self._was_linked = False
         began_s = clock_s()
         self._setpoint_s = self._heartbeat_s = began_s
@@ -116,8 +116,8 @@ class Link(threading.Thread):
         self.connection = None
 
     def _say(self, condition: str) -> None:
-        if condition != self._said:
-            self._said = condition
+        if condition != self._reported:
+            self._reported = condition
             # A full disk or a closed pipe must not end the control of the vehicle.
             with contextlib.suppress(OSError, ValueError):
                 print(f"mavlink: {condition}", file=sys.stderr, flush=True)

@@ -26,7 +26,7 @@ from .session import DIAGNOSTICS_S, Parser, Session, complain, diagnostic, messa
 _RESTART_S = 1.0
 
 #: How long robots' processes may take to end after the run, s.
-_LAST_WORDS_S = 5.0
+_END_WAIT_S = 5.0
 
 #: A measurement whose sensor is distrusted, in `range_used` and `bearing_used`.
 _DISTRUSTED = 3
@@ -359,7 +359,7 @@ class Team:
 
     def wait(self) -> None:
         """Waits until the processes have ended with the run."""
-        until_s = time.monotonic() + _LAST_WORDS_S
+        until_s = time.monotonic() + _END_WAIT_S
         for thread in self._threads:
             thread.join(timeout=max(0.0, until_s - time.monotonic()))
 

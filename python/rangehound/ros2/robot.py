@@ -181,7 +181,7 @@ class Bridge:
     def wait_for_odometry(self, name: str) -> None:
         """Waits for the first pose: without one the robot would take part from a place where it is not."""
         looked_s = time.monotonic()
-        was_told = False
+        is_reported = False
         while True:
             with self._changed:
                 if self._odom is not None:
@@ -189,9 +189,9 @@ class Bridge:
                 self._changed.wait(timeout=0.1)
             if time.monotonic() - looked_s > 2.0:
                 looked_s = time.monotonic()
-                if not was_told:
+                if not is_reported:
                     complain(f"robot {self._robot} waits for odometry on robot_{self._robot}/odom")
-                    was_told = True
+                    is_reported = True
                 try:
                     _native.Observer(name, False, False, 0.0)
                 except InputError:

@@ -21,7 +21,7 @@ from .._native import InputError, RunError
 DIAGNOSTICS_S = 1.0
 
 #: How long a node that ends waits for subscribers that have not acknowledged its last messages, s.
-_LAST_WORDS_S = 2.0
+_END_WAIT_S = 2.0
 
 
 def complain(problem: object) -> None:
@@ -185,7 +185,7 @@ class Session:
 
     def _close(self) -> None:
         """Waits for a moment until subscribers have what was published, ends the callbacks, and leaves ROS."""
-        self.wait_until_taken(_LAST_WORDS_S)
+        self.wait_until_taken(_END_WAIT_S)
         self._executor.shutdown(timeout_sec=2.0)
         if self._thread.is_alive():
             self._thread.join(timeout=2.0)

@@ -23,7 +23,7 @@ pub struct Occupant {
     heard_ns: u64,
 }
 
-/// What becomes of a process that asks for a role.
+/// The answer to a process that asks for a role.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Claim {
     /// It has the role, and has opened another link.

@@ -32,7 +32,7 @@ pub struct Relay {
     heading: Option<Heading>,
     /// Its measurement of the present tick.
     measured: Option<Measured>,
-    /// What it drives in the present tick.
+    /// Its drive in the present tick.
     driven: Option<Outgoing<Drive>>,
     /// When measurement and heading of the present tick came, ns.
     measured_at_ns: Option<u64>,

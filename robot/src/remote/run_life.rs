@@ -1,4 +1,4 @@
-//! What a robot does when it joins again.
+//! The action of a robot that joins again.
 
 /// One life of a run: a run that is resumed has another one.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -9,7 +9,7 @@ pub struct RunLife {
     pub life: u64,
 }
 
-/// What a robot does that has joined.
+/// The action of a robot that has joined.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Rejoin {
     /// It goes on where it was.
@@ -21,7 +21,7 @@ pub enum Rejoin {
 }
 
 impl RunLife {
-    /// What a robot does that joins this life of a run after that one, if any.
+    /// The action of a robot that joins this life of a run after that one, if any.
     #[must_use]
     pub fn after(self, before: Option<Self>) -> Rejoin {
         match before {

@@ -17,7 +17,7 @@ const ROBOT: usize = 1;
 const STEP_NS: u64 = 250_000;
 const SIM_REPEATS_NS: u64 = 50_000_000;
 
-/// What the link does to a frame.
+/// The fault of the link for a frame.
 #[derive(Debug, Clone, Copy, Default)]
 struct Link {
     loss: f64,
@@ -49,7 +49,7 @@ struct Bench {
     /// Lengths of all frames to the robot and to the gateway.
     lens: [Vec<usize>; 2],
     scenario: Scenario,
-    /// What reached the run's host: ranges by tick, and the present tick's newest drive.
+    /// The messages that reached the run's host: ranges by tick, and the present tick's newest drive.
     ranges: Vec<u64>,
     drive: Option<(u64, Drive)>,
     measured: Vec<u64>,
@@ -265,7 +265,7 @@ fn a_good_link_needs_no_repeats_and_its_time_is_measured() {
     assert!(drive.network_ns <= 4 * STEP_NS, "{drive:?}");
 }
 
-/// What a range and its heading have waited at either end is told apart from the link's time, by the clock of that end.
+/// The waits of a range and its heading at either end are measured apart from the link's time, by the clock of that end.
 #[test]
 fn the_time_beyond_the_runs_host_has_its_parts() {
     let Bench { mut courier, mut relay, .. } = Bench::new("lockstep", 3, GOOD);

@@ -48,7 +48,7 @@ pub struct Uplink {
     pub echo: Option<Echo>,
     /// Measurements that the gateway may not have, the newest first.
     pub measured: Vec<Measured>,
-    /// What the robot drives.
+    /// The robot's drive.
     pub driven: Option<Driven>,
 }
 

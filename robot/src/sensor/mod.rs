@@ -17,7 +17,7 @@ use crate::pose::PoseSource;
 /// [`sense`](Self::sense) is on the control path: fusion waits for it. Read a slow sensor in its own thread, as
 /// `SerialSensor` in `rangehound-node` does.
 pub trait Sensor: std::fmt::Debug + Send {
-    /// What the sensor sees of the target at a tick.
+    /// The sensor's view of the target at a tick.
     ///
     /// Returns the newest values and never waits for one. Returns each value once, because fusion treats each as a new
     /// measurement, and none that is too old for the motion of target and robot. Called once for each tick from 1 on;

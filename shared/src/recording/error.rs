@@ -17,7 +17,7 @@ pub struct RecordingError {
 /// A fault of a log.
 #[derive(Debug)]
 pub enum Problem {
-    /// The file could not be opened or read.
+    /// The file could not be opened or read: why, and what was expected.
     Unreadable(String),
     /// The roles of the header's columns are unclear.
     Header {
@@ -48,6 +48,8 @@ pub enum Problem {
         /// Number of rows.
         rows: u64,
     },
+    /// The file has no line.
+    Empty,
     /// A fault of the file itself.
     File {
         /// What is wrong.
@@ -58,11 +60,15 @@ pub enum Problem {
 }
 
 impl Problem {
+    pub(super) fn unreadable(error: &std::io::Error) -> Self {
+        Self::Unreadable(format!("{error}: expected a table"))
+    }
+
     /// The message for a file.
     fn in_file(&self, file: &Path) -> String {
         let file = file.display();
         match self {
-            Self::Unreadable(reason) => format!("cannot read {file}: {reason}: expected a table"),
+            Self::Unreadable(reason) => format!("cannot read {file}: {reason}"),
             Self::Header { line, wrong, hint } => format!("{wrong} in {file}, row 0 (line {line}, the header): {hint}"),
             Self::Row { row, line, complaint } => complaint.at(format_args!("{file}, row {row} (line {line})")),
             Self::Report(complaint) => complaint.at(file),
@@ -71,6 +77,7 @@ impl Problem {
                     "{bad} of {rows} rows are bad in {file}: expected mostly valid rows; the first bad one: {first}"
                 )
             }
+            Self::Empty => format!("{file} is empty: expected a header that names the columns"),
             Self::File { wrong, hint } => format!("{wrong} in {file}: {hint}"),
         }
     }
@@ -107,7 +114,7 @@ impl RecordingError {
     /// The file cannot be opened or read.
     #[must_use]
     pub fn unreadable(file: &Path, error: &std::io::Error) -> Self {
-        Self::new(file, Problem::Unreadable(error.to_string()))
+        Self::new(file, Problem::unreadable(error))
     }
 
     /// A fault of the file itself: what is wrong, and what was expected.

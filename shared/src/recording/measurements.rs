@@ -24,7 +24,7 @@ pub struct RecordedMeasurement {
     pub heading_std_rad: Option<f64>,
 }
 
-/// What a measurement may have besides a range: bearing, heading, and the standard deviations of position and heading.
+/// The optional values of a measurement besides a range: bearing, heading, and the standard deviations of position and heading.
 pub(super) type Extras = [Option<f64>; 4];
 
 impl RecordedMeasurement {
@@ -95,7 +95,7 @@ impl Measurements {
         self.rows[indices].iter().map(|row| row.sensor)
     }
 
-    /// What the measurements have besides ranges; empty if they are only ranges.
+    /// The values of the measurements besides ranges; empty if they are only ranges.
     pub(super) fn extras(&self) -> &[Extras] {
         &self.extras
     }

@@ -94,7 +94,7 @@ fn take(row: LogRow, gathering: &mut Gathering<'_>, unplaced: &mut Vec<SensorNam
 /// The parts of a log's error before and after its first colon: what is wrong, and what to do.
 fn problem_of(error: &LogError) -> Problem {
     if let LogError::Unreadable(reason) = error {
-        return Problem::Unreadable(reason.to_string());
+        return Problem::unreadable(reason);
     }
     let text = error.to_string();
     let (wrong, hint) = text.split_once(": ").unwrap_or((&text, "expected another log"));

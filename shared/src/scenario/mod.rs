@@ -63,9 +63,9 @@ pub struct Scenario {
     pub gate_sigma: Option<f64>,
     /// Whether a robot whose ranges keep failing is distrusted: its ranges are only tested, against the default gate if there is none.
     pub distrust: bool,
-    /// What the filter does about the robots' nuisances.
+    /// The filter's treatment of the robots' nuisances.
     pub treatment: Treatment,
-    /// What a planner makes small.
+    /// The criterion that a planner minimises.
     pub criterion: Criterion,
 }
 
@@ -124,7 +124,7 @@ pub struct RobotSpec {
     pub start_m: [f64; 2],
     /// Speed limit, m/s.
     pub speed_mps: f64,
-    /// What it measures, with the noise after calibration.
+    /// Its sensor, with the noise after calibration.
     pub sensor: SensorSpec,
     /// The same as reported to the filter: the true one, unless the scenario gives the filter another.
     pub reported: SensorSpec,
@@ -185,7 +185,7 @@ pub struct Clearance {
     pub separation_m: f64,
 }
 
-/// What a planner makes as small as it can, of the covariance of the target's position after the next measurements.
+/// The criterion that a planner minimises, of the covariance of the target's position after the next measurements.
 ///
 /// Teams that measure ranges of constant noise alone have the same best plans by all three.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]

@@ -12,7 +12,7 @@ pub const OWN: &str = "own";
 /// The name that `compare` uses for localisers without errors.
 pub const EXACT: &str = "exact";
 
-/// What a robot measures of the target, and how well.
+/// The measurements of a robot, and their noise.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct SensorSpec {
     /// Noise of its ranges; `None` if it measures none.
@@ -77,7 +77,7 @@ pub enum PoseCorrelation {
     Drift,
 }
 
-/// What the filter does about nuisances.
+/// The filter's treatment of nuisances.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Treatment {
     /// Nothing: poses count as exact.

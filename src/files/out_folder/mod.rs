@@ -36,7 +36,7 @@ pub enum Refusal {
 impl std::fmt::Display for Refusal {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let (Self::Taken(problem) | Self::Unusable(problem)) = self;
-        write!(f, "{problem} (--out)")
+        f.write_str(problem)
     }
 }
 
@@ -67,8 +67,8 @@ pub fn claim(folder: &Path, kind: Kind, inputs: &[&Path]) -> Result<Claim, Refus
     let is_marked = ledger::is_marked(folder);
     if !is_marked && entries(folder).next().is_some() {
         return Err(Refusal::Taken(format!(
-            "{} has files that rangehound did not make (no {MARK}): expected a new or empty folder, or one that rangehound \
-             made: choose another, or move them away",
+            "{} (--out) has files that rangehound did not make (no {MARK}): expected a new or empty folder, or one that \
+             rangehound made: choose another, or move them away",
             folder.display()
         )));
     }
@@ -103,7 +103,7 @@ pub fn claim_again(folder: &Path) -> Result<Claim, Refusal> {
     let claim = Claim { path: folder.to_owned(), kind: Kind::Run, _lock: lock(folder)? };
     if !ledger::is_marked(folder) {
         return Err(Refusal::Taken(format!(
-            "{} has no {MARK}: expected a folder that rangehound made: start a new run in another folder",
+            "{} (--out) has no {MARK}: expected a folder that rangehound made: start a new run in another folder",
             folder.display()
         )));
     }
@@ -248,7 +248,7 @@ impl Claim {
 
 fn stranger(path: &Path) -> Refusal {
     Refusal::Taken(format!(
-        "{} is not as rangehound wrote it, and would be replaced: choose another folder, or move it away",
+        "{} (--out) is not as rangehound wrote it, and would be replaced: choose another folder, or move it away",
         path.display()
     ))
 }
@@ -267,7 +267,7 @@ fn refuse_inputs(folder: &Path, kind: Kind, inputs: &[&Path]) -> Result<(), Refu
             |path: PathBuf| std::fs::metadata(path).is_ok_and(|result| identity(&result) == identity(&metadata));
         if is_in || metadata.is_file() && results().any(is_one) {
             return Err(Refusal::Unusable(format!(
-                "{} is read, and lies where results would go, in {}: choose another folder",
+                "{} is read, and lies where results would go, in {} (--out): choose another folder",
                 input.display(),
                 folder.display()
             )));
@@ -281,7 +281,8 @@ fn lock(folder: &Path) -> Result<File, Refusal> {
     let file = File::open(folder).map_err(|error| not_writable(folder, &error))?;
     match file.try_lock() {
         Err(TryLockError::WouldBlock) => {
-            Err(Refusal::Taken(format!("a run is using {}: choose another folder, or stop that run", folder.display())))
+            let folder = folder.display();
+            Err(Refusal::Taken(format!("a run is using {folder} (--out): choose another folder, or stop that run")))
         }
         // Runs also work on a file system without locks.
         Ok(()) | Err(TryLockError::Error(_)) => Ok(file),
@@ -305,14 +306,15 @@ pub fn lock_finished(folder: &Path) -> Result<File, Failure> {
 fn not_writable(path: &Path, error: &io::Error) -> Refusal {
     // For these the system only says that something exists already.
     let is_link = path.symlink_metadata().is_ok_and(|file| file.is_symlink());
-    let cause = match path.metadata() {
+    let (cause, advice) = match path.metadata() {
         Ok(file) if error.kind() == io::ErrorKind::AlreadyExists && !file.is_dir() => {
-            "it is not a folder: choose another name".to_owned()
+            ("it is not a folder".to_owned(), ": choose another name")
         }
-        Err(_) if is_link => "it is a link to nothing: choose another name, or remove it".to_owned(),
-        _ => error.to_string(),
+        Err(_) if is_link => ("it is a link to nothing".to_owned(), ": choose another name, or remove it"),
+        _ => (error.to_string(), ""),
     };
-    Refusal::Unusable(format!("cannot write to {}: {cause}: expected a folder that can be written", path.display()))
+    let path = path.display();
+    Refusal::Unusable(format!("cannot write to {path} (--out): {cause}: expected a folder that can be written{advice}"))
 }
 
 /// Names of the files in a folder.

@@ -181,9 +181,9 @@ impl Accumulator {
     /// message, or a message that reached the simulator too late, or after its end.
     pub fn add_unlogged(&mut self, exchanges: &[Exchange], robots: &[RobotRecord]) {
         for (robot, exchange) in exchanges.iter().enumerate() {
-            let is_told = robots.get(robot).is_some_and(|robot| robot.range_sent_ns.is_some());
+            let is_reported = robots.get(robot).is_some_and(|robot| robot.range_sent_ns.is_some());
             let heard = exchange.heard.map_or(0, |heard| heard.measurement.count());
-            self.ranges.published += heard.saturating_sub(u64::from(is_told));
+            self.ranges.published += heard.saturating_sub(u64::from(is_reported));
         }
     }
 

@@ -206,7 +206,7 @@ pub struct Distrust {
     pub to_tick: Option<u64>,
 }
 
-/// What follows a sensor's name if only its bearings are meant.
+/// The suffix of a sensor's name if only its bearings are meant.
 #[must_use]
 pub fn of_bearings(kind: &str) -> &'static str {
     if kind == Kind::Bearing.name() { " (bearings)" } else { "" }

@@ -7,7 +7,7 @@ use crate::results::report::position_covariance;
 /// A status, as in `diagnostic_msgs/DiagnosticStatus`.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Status {
-    /// What it is about.
+    /// Its subject.
     pub name: &'static str,
     /// 0: well; 1: warning.
     pub level: u8,

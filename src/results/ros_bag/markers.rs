@@ -63,7 +63,7 @@ pub struct Marker {
     pub points_m: Vec<[f64; 2]>,
 }
 
-/// What is drawn of a robot that has reported where it is.
+/// The drawing of a robot that has reported where it is.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Seen {
     /// Where it is.

@@ -30,7 +30,7 @@ pub fn stamp_ns(time_s: f64) -> i64 {
     (second as i64).saturating_mul(1_000_000_000).saturating_add(((time_s - second) * 1e9).round() as i64)
 }
 
-/// What is added to the times of a run for its stamps, ns.
+/// The offset from the times of a run to its stamps, ns.
 #[must_use]
 pub fn stamp_offset_ns(scenario: &Scenario) -> i64 {
     let start_s = match &scenario.source {

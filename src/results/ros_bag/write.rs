@@ -36,14 +36,14 @@ pub struct Channel {
     pub count: u64,
 }
 
-/// What the file has, for `metadata.yaml`.
+/// The contents of the file, for `metadata.yaml`.
 #[derive(Debug, Clone, Default)]
 pub struct Contents {
     /// The topics.
     pub topics: BTreeMap<Topic, Channel>,
     /// First and last stamp, ns.
     pub span_ns: Option<[i64; 2]>,
-    /// What was added to the run's times, ns.
+    /// The offset from the run's times to the stamps, ns.
     pub offset_ns: i64,
 }
 
@@ -84,7 +84,7 @@ struct Newest {
     time_s: f64,
     estimate: Estimate,
     robots: BTreeMap<usize, Placed>,
-    /// What is drawn of each robot.
+    /// The drawing of each robot.
     seen: Vec<Option<Seen>>,
     facts: Facts,
 }

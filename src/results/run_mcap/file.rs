@@ -42,7 +42,10 @@ pub struct RunFile {
 
 /// The error for a file that cannot be created.
 pub fn unusable(error: anyhow::Error) -> Failure {
-    Failure::input(format!("cannot write the recording: {error:#}: expected a file that can be written"))
+    // The other causes end with what to do.
+    let is_of_system = error.chain().any(|cause| cause.is::<std::io::Error>());
+    let expected = if is_of_system { ": expected a file that can be written" } else { "" };
+    Failure::input(format!("cannot write the recording: {error:#}{expected}"))
 }
 
 /// The name of an unfinished file.
@@ -246,5 +249,5 @@ fn of(error: McapError) -> anyhow::Error {
 }
 
 fn named(path: &Path, error: anyhow::Error) -> anyhow::Error {
-    anyhow::anyhow!("{}: {error}", path.display())
+    error.context(path.display().to_string())
 }

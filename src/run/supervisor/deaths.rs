@@ -1,4 +1,4 @@
-//! What is done after the end of a node's process, pure: it depends on how the process ended, and how long it had run.
+//! The reaction to the end of a node's process, pure: it depends on how the process ended, and how long it had run.
 
 use std::time::Duration;
 
@@ -40,7 +40,7 @@ pub(crate) enum Need {
     Spare,
 }
 
-/// What is done next.
+/// The next action.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Next {
     /// The node is started again after this time.

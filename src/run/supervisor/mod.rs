@@ -38,7 +38,7 @@ use crate::run::watch::Progress;
 use removal::run_to_the_end;
 use restart::Rule;
 
-/// What is started beside the nodes of a run, and what is done when a node ends.
+/// The processes that are started beside the nodes of a run, and the policy for nodes that end.
 #[derive(Debug, Clone, Default)]
 pub struct Supervision {
     /// Number of standbys of fusion.

@@ -13,7 +13,7 @@ use crate::run::watch::Newest;
 /// A run without a new tick for this long waits for something; and the interval between two looks.
 const WAITS: Duration = Duration::from_secs(1);
 
-/// What a run waits for, some of whose nodes others start.
+/// The nodes that a run waits for, if others start some of them.
 pub(super) struct Waiting<'a> {
     rendezvous: &'a Rendezvous,
     /// The robots that join through the gateway, and where it listens.

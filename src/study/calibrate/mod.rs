@@ -95,12 +95,14 @@ pub fn calibrate(
 /// # Errors
 /// [`Failure::Input`] if it has no ranges, or heights are incomplete.
 pub fn check(table: &RecordingTable, recording: &Recording) -> Result<(), Failure> {
+    let ranges = table.ranges.as_deref().unwrap_or_default();
     if table.target_height_m.is_some() && !recording.has_heights() {
-        let problem = "expected heights of the sensors too: a column sensor_z_m, or z_m in the anchors' file";
-        return Err(Failure::input(format!("--target-height: {problem}")));
+        return Err(Failure::input(format!(
+            "--target-height is given without heights of the sensors in {ranges}: expected a column sensor_z_m, or z_m in \
+             the anchors' file"
+        )));
     }
     if !recording.has_ranges() {
-        let ranges = table.ranges.as_deref().unwrap_or_default();
         return Err(Failure::input(format!("no range in {ranges}: expected ranges: bearings cannot be calibrated")));
     }
     Ok(())
@@ -148,7 +150,7 @@ impl Found {
         self.findings.sensors.iter().any(|sensor| sensor.range_std_m.is_some()) && self.findings.accel_psd.is_some()
     }
 
-    /// What the data do not determine, and why.
+    /// The values that the data do not determine, and why.
     #[must_use]
     pub fn obstacle(&self) -> &str {
         self.findings.undetermined.first().map_or("nothing was found", String::as_str)

@@ -30,7 +30,7 @@ pub struct Findings {
     pub sensors: Vec<SensorErrors>,
     /// Spectral density of the acceleration, m^2/s^3.
     pub accel_psd: Option<Measured>,
-    /// What the data cannot determine, and why.
+    /// The values that the data cannot determine, and why.
     #[serde(rename = "untold")]
     pub undetermined: Vec<String>,
 }

@@ -122,7 +122,7 @@ impl<'a> Campaign<'a> {
         if ended == Ended::Done && code != Some(0) {
             ended = Ended::Failed;
         }
-        let last_message = if ended == Ended::Done { String::new() } else { run.last_words() };
+        let last_message = if ended == Ended::Done { String::new() } else { run.last_message() };
         if joined.is_none() && ended == Ended::Interrupted {
             return Err(Failure::Running(anyhow::anyhow!("interrupted before the first fault of a run")));
         }
@@ -146,8 +146,8 @@ impl<'a> Campaign<'a> {
             ended,
             last_message,
             wall_s: began.elapsed().as_secs_f64(),
-            // A run that ended early may have left no logs.
-            tally: tally(&joined).unwrap_or_default(),
+            // A run that ended early may have written no logs.
+            result: result_of_logs(&joined).unwrap_or_default(),
             baseline,
             is_repeatable: is_repeatable(&joined.scenario),
             files_left,
@@ -261,7 +261,7 @@ enum Life {
     AllKilled(usize),
 }
 
-fn tally(description: &RunDescription) -> anyhow::Result<RunResult> {
+fn result_of_logs(description: &RunDescription) -> anyhow::Result<RunResult> {
     let report = report::from_logs(description, None, Vec::new(), |_| ())?;
     let Report { ticks, digest, ranges, headings, position_rmse_m, .. } = report;
     Ok(RunResult { ticks, digest, ranges, headings, position_rmse_m })
@@ -275,5 +275,5 @@ fn baseline(description: &RunDescription) -> anyhow::Result<RunResult> {
     claim.clear().map_err(|refusal| anyhow::anyhow!("{refusal}"))?;
     let baseline = RunDescription { out_dir, ..description.clone() };
     in_process::run(&baseline, |_| {})?;
-    tally(&baseline)
+    result_of_logs(&baseline)
 }

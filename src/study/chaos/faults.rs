@@ -53,7 +53,7 @@ impl Kind {
     }
 }
 
-/// What a fault hits.
+/// The target of a fault.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Target {
     /// The process in a role.
@@ -96,7 +96,7 @@ impl Victim {
 pub struct OnHosts {
     /// Number of hosts, the run's included.
     pub count: usize,
-    /// What their links do to packets all the time.
+    /// The permanent conditions of their links.
     pub conditions: Conditions,
     /// Longest time for which a link is cut or a host is down, s.
     pub longest_cut_s: f64,

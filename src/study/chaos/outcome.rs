@@ -25,7 +25,7 @@ pub(super) struct Outcome {
     pub(super) robots: usize,
     /// Hosts, the run's included.
     pub(super) hosts: usize,
-    /// What the network between them does to packets; null on one host.
+    /// The conditions of the network between them; null on one host.
     pub(super) network: Option<Conditions>,
     /// Seed of the faults.
     pub(super) chaos_seed: u64,
@@ -175,7 +175,8 @@ pub(super) struct Round {
     /// Wall time, s.
     pub(super) wall_s: f64,
     /// The result in its logs.
-    pub(super) tally: RunResult,
+    #[serde(rename = "tally")]
+    pub(super) result: RunResult,
     /// The result of the baseline.
     #[serde(rename = "alone")]
     pub(super) baseline: Option<RunResult>,
@@ -220,15 +221,15 @@ impl Outcome {
 
     /// Adds a run.
     pub(super) fn add(&mut self, round: Round) {
-        let ranges = &round.tally.ranges;
-        self.ticks += round.tally.ticks;
+        let ranges = &round.result.ranges;
+        self.ticks += round.result.ticks;
         self.ranges.published += ranges.published;
         self.ranges.fused += ranges.fused;
         self.ranges.rejected += ranges.rejected;
         self.ranges.late += ranges.late;
         self.ranges.fused_late += ranges.fused_late;
         self.ranges.missing += ranges.missing;
-        let headings = &round.tally.headings;
+        let headings = &round.result.headings;
         self.headings.fresh += headings.fresh;
         self.headings.late += headings.late;
         self.headings.none += headings.none;
@@ -237,7 +238,7 @@ impl Outcome {
         self.files_left.extend_from_slice(&round.files_left);
         self.processes_left.extend_from_slice(&round.processes_left);
         if let Some(baseline) = round.baseline.as_ref().filter(|_| round.is_repeatable) {
-            self.digest_equal = Some(self.digest_equal.unwrap_or(true) && round.tally.digest == baseline.digest);
+            self.digest_equal = Some(self.digest_equal.unwrap_or(true) && round.result.digest == baseline.digest);
         }
         self.rounds.push(round);
     }
@@ -291,7 +292,7 @@ impl Outcome {
             (ticks > 0.0).then(|| (squares.iter().map(|(ticks, square)| ticks * square).sum::<f64>() / ticks).sqrt())
         };
         Some(PositionError {
-            faulted: mean(|round| Some(&round.tally))?,
+            faulted: mean(|round| Some(&round.result))?,
             baseline: mean(|round| round.baseline.as_ref())?,
         })
     }
@@ -325,12 +326,12 @@ impl Round {
         match self.ended {
             Ended::Done => {}
             Ended::Failed => broken.push(format!("the run failed: {}", self.last_message)),
-            Ended::Hung => broken.push(format!("the run hung after tick {}", self.tally.ticks)),
+            Ended::Hung => broken.push(format!("the run hung after tick {}", self.result.ticks)),
             // The user wanted it.
             Ended::Interrupted => {}
         }
         if let Some(baseline) = self.baseline.as_ref().filter(|_| self.is_repeatable) {
-            let (got, expected) = (&self.tally, baseline);
+            let (got, expected) = (&self.result, baseline);
             for (what, got, expected) in [
                 ("ticks", got.ticks, expected.ticks),
                 ("ranges published", got.ranges.published, expected.ranges.published),
@@ -438,14 +439,14 @@ mod tests {
 
     fn round() -> Round {
         let ranges = RangeSummary { published: 30, fused: 30, ..RangeSummary::default() };
-        let tally = RunResult { ticks: 10, digest: "a".to_owned(), ranges, ..RunResult::default() };
+        let result = RunResult { ticks: 10, digest: "a".to_owned(), ranges, ..RunResult::default() };
         Round {
             seed: 1,
             ended: Ended::Done,
             last_message: String::new(),
             wall_s: 1.0,
-            tally: tally.clone(),
-            baseline: Some(tally),
+            result: result.clone(),
+            baseline: Some(result),
             is_repeatable: true,
             files_left: Vec::new(),
             processes_left: Vec::new(),
@@ -457,10 +458,10 @@ mod tests {
         assert_eq!(round().broken(), [""; 0]);
         type Fault = fn(&mut Round);
         let faults: [(Fault, &str); 8] = [
-            (|round| round.tally.digest = "b".to_owned(), "seed 1: digest b, expected a"),
-            (|round| round.tally.ranges.published = 29, "seed 1: 29 ranges published, expected 30"),
-            (|round| round.tally.ranges.fused = 29, "seed 1: 29 ranges fused, expected 30"),
-            (|round| round.tally.ranges.missing = 1, "seed 1: 1 ranges missing, expected 0"),
+            (|round| round.result.digest = "b".to_owned(), "seed 1: digest b, expected a"),
+            (|round| round.result.ranges.published = 29, "seed 1: 29 ranges published, expected 30"),
+            (|round| round.result.ranges.fused = 29, "seed 1: 29 ranges fused, expected 30"),
+            (|round| round.result.ranges.missing = 1, "seed 1: 1 ranges missing, expected 0"),
             (|round| round.ended = Ended::Hung, "seed 1: the run hung after tick 10"),
             (|round| round.ended = Ended::Failed, "seed 1: the run failed: "),
             (|round| round.files_left.push("x".to_owned()), "seed 1: left in shared memory: x"),
@@ -479,7 +480,7 @@ mod tests {
     #[test]
     fn real_time_may_miss_ranges() {
         let mut round = Round { is_repeatable: false, ..round() };
-        round.tally.ranges.missing = 5;
+        round.result.ranges.missing = 5;
         assert_eq!(round.broken(), [""; 0]);
     }
 

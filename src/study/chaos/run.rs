@@ -31,7 +31,7 @@ pub(super) fn log(out_dir: &Path) -> PathBuf {
 #[derive(Debug)]
 pub(super) struct Programs(Vec<(PathBuf, Identity)>);
 
-/// What shows that a file is still the same: its device, number, length and time of change.
+/// The identity of a file: its device, number, length and time of change.
 type Identity = (u64, u64, u64, i64);
 
 impl Programs {
@@ -153,7 +153,7 @@ impl Run {
         Ok(None)
     }
 
-    pub(super) fn last_words(&self) -> String {
+    pub(super) fn last_message(&self) -> String {
         let text = std::fs::read_to_string(log(&self.out_dir)).unwrap_or_default();
         let complaint = text.lines().rev().find(|line| line.starts_with("rangehound: "));
         complaint.or(text.lines().last()).unwrap_or_default().trim_start_matches("rangehound: ").to_owned()

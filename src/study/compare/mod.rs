@@ -110,10 +110,10 @@ pub fn first_scenarios(trials: &Trials) -> Result<Vec<Scenario>, Failure> {
     let scenarios = scenarios.map_err(Failure::input)?;
     for scenario in &scenarios {
         if scenario.has_real_target {
-            return Err(Failure::input(format!("{} (in {file_name})", TeamError::RealTarget)));
+            return Err(Failure::Input(failure::located(TeamError::RealTarget, file_name)));
         }
         planner::for_team(scenario.planner, scenario.robots.len(), scenario.seed)
-            .map_err(|error| Failure::input(format!("{error} (in {file_name})")))?;
+            .map_err(|error| Failure::Input(failure::located(error, file_name)))?;
     }
     Ok(scenarios)
 }

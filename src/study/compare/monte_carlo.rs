@@ -35,7 +35,7 @@ const NONE_LEFT: u64 = u64::MAX / 2;
 pub struct Trials {
     /// The scenario; what varies and the seed are overridden.
     pub given: Given,
-    /// What is compared.
+    /// The variants that are compared.
     pub variants: Vec<Variant>,
     /// Runs of each.
     pub runs: u64,
@@ -58,7 +58,7 @@ pub struct Variant {
     pub sensor: Option<String>,
     /// The named localiser that all robots have, or [`EXACT`]; the scenario's own if none.
     pub localiser: Option<String>,
-    /// What the filter does about nuisances; the scenario's own if none.
+    /// The filter's treatment of nuisances; the scenario's own if none.
     pub nuisances: Option<String>,
 }
 
@@ -78,7 +78,7 @@ impl fmt::Debug for CustomParts {
 /// The treatments of nuisances by name: those of a scenario, and estimation.
 pub const TREATMENTS: [&str; 4] = ["ignored", "inflated", "schmidt", "estimated"];
 
-/// What varies beside the planner: names of sensors, localisers and treatments of nuisances. An empty list does not vary.
+/// The variations beside the planner: names of sensors, localisers and treatments of nuisances. An empty list does not vary.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Varied<'a> {
     /// Sensors of the scenario, or [`OWN`].

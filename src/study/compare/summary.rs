@@ -37,7 +37,7 @@ pub struct Comparison {
     pub ticks: u64,
     /// Robots.
     pub robots: usize,
-    /// What the gaps are.
+    /// The meaning of the gaps.
     pub gap_meaning: &'static str,
     /// Least distance of robots to the predicted target, m.
     pub stand_off_m: f64,
@@ -205,7 +205,7 @@ impl Summary {
     }
 }
 
-/// What the gaps of plans for these scenarios are, in at most 80 characters.
+/// The meaning of the gaps of plans for these scenarios, in at most 80 characters.
 #[must_use]
 pub fn gap_meaning(scenarios: &[Scenario]) -> &'static str {
     let range_only = scenarios.iter().filter(|scenario| scenario.is_range_only()).count();

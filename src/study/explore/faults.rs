@@ -128,7 +128,7 @@ impl Fault {
 /// Largest number of own failures in a run that must not end because of them.
 const OWN_FAILURES_MAX: u32 = 4;
 
-/// What faults depend on.
+/// The parameters of faults.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Team {
     /// Number of nodes: sim, fusion, standbys, robots.

@@ -39,7 +39,7 @@ pub(super) struct Guest {
     pub(super) witness: LinkWitness,
 }
 
-/// Who asks for a robot's role.
+/// The process that asks for a robot's role.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Applicant {
     pub(super) robot: usize,

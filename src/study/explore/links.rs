@@ -17,7 +17,7 @@ const REJOINS_NS: u64 = 1_000_000_000;
 pub(super) struct Links {
     /// Bit i: robot i is on another host.
     pub(super) robots: u64,
-    /// What the links do to frames until a time.
+    /// The quality of the links until a time.
     pub(super) quality: Quality,
     /// Cuts.
     pub(super) cuts: Vec<Cut>,
@@ -29,7 +29,7 @@ pub(super) struct Links {
     pub(super) reboots: Vec<Reboot>,
 }
 
-/// What a link does to frames.
+/// The quality of a link.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Quality {
     /// Share of frames that are lost.

@@ -1,4 +1,4 @@
-//! What nodes send each other.
+//! The messages between nodes.
 
 use std::rc::Rc;
 

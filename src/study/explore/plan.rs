@@ -28,7 +28,7 @@ pub(super) struct Plan {
     pub(super) is_endless: bool,
     /// Robots.
     pub(super) robots: usize,
-    /// What they measure.
+    /// Their sensors.
     pub(super) equipment: Equipment,
     /// Standbys of fusion.
     pub(super) standbys: usize,
@@ -48,7 +48,7 @@ pub(super) struct Plan {
     pub(super) links: Option<Links>,
 }
 
-/// What the robots measure, and how well they know where they are.
+/// The sensors of the robots, and how well they know where they are.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub(super) enum Equipment {
     /// Ranges, from exact poses.
@@ -86,7 +86,7 @@ impl Network {
 pub(super) struct LocalClock {
     /// Its seconds in a true second.
     pub(super) rate: f64,
-    /// What it shows at time 0, ns.
+    /// Its time at true time 0, ns.
     pub(super) ahead_ns: u64,
 }
 
@@ -97,7 +97,7 @@ impl Default for LocalClock {
 }
 
 impl LocalClock {
-    /// What it shows at a true time, ns.
+    /// Its time at a true time, ns.
     pub(super) fn local_ns(self, now_ns: u64) -> u64 {
         self.ahead_ns + (now_ns as f64 * self.rate) as u64
     }
@@ -224,7 +224,7 @@ impl Plan {
         self.robot_nodes().filter(|node| !self.is_remote_node(*node))
     }
 
-    /// Who receives worlds and headings: the robots on the run's host, and the gateway of the others.
+    /// The receivers of worlds and headings: the robots on the run's host, and the gateway of the others.
     pub(super) fn commanded(&self) -> impl Iterator<Item = usize> + use<'_> {
         self.local_robot_nodes().chain(self.links.as_ref().map(|_| self.gateway()))
     }

@@ -11,7 +11,7 @@ pub(super) struct TraceLine {
     pub(super) at_ns: u64,
     /// The node that it is about, if any.
     pub(super) node: Option<usize>,
-    /// What the node did, or what happened to it.
+    /// The node's action, or the event that it met.
     pub(super) what: String,
 }
 

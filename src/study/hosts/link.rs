@@ -27,7 +27,7 @@ const LOOK: Duration = Duration::from_millis(20);
 /// A robot's process that has sent nothing for this time has ended.
 const FORGOTTEN: Duration = Duration::from_secs(120);
 
-/// What all links do to packets, each way.
+/// The conditions of all links, each way.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Conditions {
     /// Part of the packets that are lost.
@@ -128,7 +128,7 @@ impl Link {
         }
     }
 
-    /// What robots connect to.
+    /// The address that robots connect to.
     #[must_use]
     pub fn address(&self) -> SocketAddr {
         self.address

@@ -233,7 +233,7 @@ impl Hosts {
         own.any(|robot| robot.child.as_ref().is_some_and(|child| Pid::from_child(child) == pid))
     }
 
-    /// What is in the shared memory of the robots' hosts: a robot on another host than the run's needs none.
+    /// The files in the shared memory of the robots' hosts: a robot on another host than the run's needs none.
     #[must_use]
     pub fn files_left(&self) -> Vec<String> {
         let on =

@@ -15,7 +15,7 @@ const AHEAD_S: usize = 3_600;
 /// Folder of the names of namespaces, as `ip netns` has it.
 const NAMES: &str = "/run/netns";
 
-/// What all names of namespaces start with; the number of the process that made them follows.
+/// The prefix of all names of namespaces; the number of the process that made them follows.
 const PREFIX: &str = "rangehound-";
 
 /// Hosts, each with a network of its own. They are removed with this value.
@@ -53,7 +53,7 @@ impl Network {
     /// Makes a host, with a cable to the middle.
     ///
     /// # Errors
-    /// What `ip` reports.
+    /// The report of `ip`.
     pub(super) fn connect(&self, host: usize) -> anyhow::Result<()> {
         let (name, middle) = (name(host), middle());
         let memory = self.memory(host);

@@ -107,7 +107,7 @@ pub fn latency(mut experiment: Experiment, wanted: &Wanted, out: Option<&Path>, 
     failure::print(format!("{outcome}\nfigures and picture in {}\n", folder.display()))
 }
 
-/// What is measured.
+/// The systems that are measured.
 ///
 /// # Errors
 /// [`Failure`] if the gateway's program, which has the references for several hosts, does not answer.

@@ -75,9 +75,15 @@ pub struct Show {
     pub speed: f64,
 }
 
-fn open(path: &Path) -> Result<FrameReader<BufReader<File>>, Failure> {
-    let refuse = |error: &dyn std::fmt::Display| Failure::input(format!("cannot replay {}: {error}", path.display()));
-    let file = File::open(path).map_err(|error| refuse(&error))?;
+/// The use of a file in its errors, as a verb.
+const REPLAY: &str = "replay";
+
+/// The end of errors of a damaged file.
+const DAMAGED: &str = "the file is damaged: `rangehound replay --repair` keeps the ticks before the damage";
+
+fn open(path: &Path, verb: &str) -> Result<FrameReader<BufReader<File>>, Failure> {
+    let refuse = |error: &dyn std::fmt::Display| Failure::input(format!("cannot {verb} {}: {error}", path.display()));
+    let file = File::open(path).map_err(|error| refuse(&format_args!("{error}: expected a run.mcap")))?;
     FrameReader::open(BufReader::new(file)).map_err(|error| refuse(&error))
 }
 
@@ -86,11 +92,11 @@ fn open(path: &Path) -> Result<FrameReader<BufReader<File>>, Failure> {
 /// # Errors
 /// [`Failure`]: of the input, if the file cannot be read to its end; of the run, if the replay differs.
 pub fn replay(path: &Path, changes: &Changes, show: Option<Show>, json: bool) -> Result<(), Failure> {
-    let refuse = |error: &dyn std::fmt::Display| Failure::input(format!("cannot replay {}: {error}", path.display()));
-    let mut reader = open(path)?;
+    let refuse = |error: &dyn std::fmt::Display| Failure::input(format!("cannot {REPLAY} {}: {error}", path.display()));
+    let mut reader = open(path, REPLAY)?;
     let recorded = reader.description().map_err(|error| refuse(&error))?.scenario.clone();
     let replayed = changed(&recorded, changes)?;
-    let begin = || Steps::new(&replayed).map_err(|error| Failure::input(format!("--planner: {error}")));
+    let begin = || Steps::new(&replayed).map_err(Failure::input);
     let is_changed = recorded != replayed;
     let fed = feed(&mut reader, begin()?, &recorded, is_changed).map_err(|error| match error {
         Stopped::Reading(error @ (ReadError::Cut { after: Some(_) } | ReadError::Damaged { after: Some(_), .. })) => {
@@ -98,7 +104,7 @@ pub fn replay(path: &Path, changes: &Changes, show: Option<Show>, json: bool) ->
         }
         Stopped::Reading(error) => refuse(&error),
         Stopped::Empty => match reader.missing_at_end() {
-            Some(missing) => Failure::Running(anyhow::anyhow!("{missing} in {}: the file is damaged", path.display())),
+            Some(missing) => Failure::Running(anyhow::anyhow!("{missing} in {}: {DAMAGED}", path.display())),
             None => refuse(&"it has no tick: record the run again"),
         },
         Stopped::Stepping(error @ StepError::Senseless { .. }) => refuse(&error),
@@ -135,7 +141,7 @@ pub fn replay(path: &Path, changes: &Changes, show: Option<Show>, json: bool) ->
         failure::print(&outcome)?;
     }
     if let Some(Show { port, speed }) = show {
-        show::show(open(path)?, begin()?, &replayed, port, speed)?;
+        show::show(open(path, REPLAY)?, begin()?, &replayed, port, speed)?;
     }
     match (&outcome.first_difference, outcome.ticks_missing) {
         (Some(difference), _) => Err(Failure::Running(anyhow::anyhow!(
@@ -144,7 +150,7 @@ pub fn replay(path: &Path, changes: &Changes, show: Option<Show>, json: bool) ->
         ))),
         (None, Some(missing)) => {
             let path = path.display();
-            Err(Failure::Running(anyhow::anyhow!("{missing} at the end of {path}: the file is damaged")))
+            Err(Failure::Running(anyhow::anyhow!("{missing} at the end of {path}: {DAMAGED}")))
         }
         (None, None) => Ok(()),
     }

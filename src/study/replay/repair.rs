@@ -34,8 +34,8 @@ struct Repaired {
 /// [`Failure`] if no tick can be read, or the new file cannot be written.
 pub fn repair(path: &Path, out: Option<&Path>, json: bool) -> Result<(), Failure> {
     let refuse = |error: &ReadError| Failure::input(format!("cannot repair {}: {error}", path.display()));
-    let mut reader = super::open(path)?;
-    let out = out.map_or_else(|| whole_name(path), Path::to_owned);
+    let mut reader = super::open(path, "repair")?;
+    let out = out.map_or_else(|| complete_name(path), Path::to_owned);
     if out.symlink_metadata().is_ok() {
         return Err(Failure::input(format!(
             "{} exists already: expected a name that is free: choose one with --out",
@@ -97,7 +97,7 @@ fn copy(reader: &mut FrameReader<BufReader<File>>, mut file: RunFile, ticks_of_r
 }
 
 /// The name without `.partial`, or with `.repaired` before its ending.
-fn whole_name(path: &Path) -> PathBuf {
+fn complete_name(path: &Path) -> PathBuf {
     match path.extension() {
         Some(ending) if ending == "partial" => path.with_extension(""),
         _ => path.with_extension("repaired.mcap"),

@@ -111,7 +111,7 @@ impl Curve {
         self.pieces[index].sight_m(u)
     }
 
-    /// What a measurement from the place at a parameter tells.
+    /// The information of a measurement from the place at a parameter.
     pub(super) fn information(&self, at: f64) -> Information {
         let (index, u) = self.piece_at(at);
         self.information_on(index, u)

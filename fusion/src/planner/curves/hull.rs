@@ -12,14 +12,14 @@ const MOVES_MAX: usize = 30;
 /// Steps of a line search.
 const STEPS_MAX: usize = 30;
 
-/// What the team tells from places of its curves, and its share of the best point.
+/// The information of the team from places of its curves, and its share of the best point.
 #[derive(Debug, Default)]
 pub(super) struct Vertex {
     /// Each robot's place.
     pub(super) at: Vec<f64>,
-    /// What each robot adds from there.
+    /// The information that each robot adds from there.
     pub(super) parts: Vec<Information>,
-    /// What is known then.
+    /// The information after that.
     pub(super) total: Information,
     /// Part of it in the best point; all parts add up to 1.
     pub(super) share: f64,

@@ -10,7 +10,7 @@ use crate::vector::Vector;
 /// Smoothing of the largest eigenvalue where the two eigenvalues meet, relative to the trace of the information.
 const SMOOTHING: f64 = 1e-7;
 
-/// What sums of information may be off by, relative to their trace: an eigenvalue that is less of it is not known.
+/// Largest error of sums of information, relative to their trace: an eigenvalue below that is not known.
 pub(super) const ROUNDING: f64 = 64.0 * f64::EPSILON;
 
 /// A symmetric 2x2 matrix `J` as `T = tr J` and `S = (J_11 - J_22, 2 J_12)`, 1/m^2.
@@ -78,7 +78,7 @@ impl Mul<f64> for Information {
     }
 }
 
-/// What a criterion makes of information: a cost that falls when information is added, convex in it.
+/// A criterion's value of information: a cost that falls when information is added, convex in it.
 ///
 /// Every multiplier `m` gives a bound from `H(m)`, the most that `T + m . S` can be: no information in the convex hull costs
 /// less. The bound is reached at [`Cost::multiplier`].

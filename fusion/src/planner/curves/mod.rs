@@ -75,7 +75,7 @@ impl Curves {
     }
 }
 
-/// What these commands are worth.
+/// The worth of these commands.
 pub(super) fn worth(situation: &Situation, commands: &[Command]) -> Worth {
     worth_of(situation, commanded(situation, situation.team.iter().map(Noise::of), commands))
 }
@@ -145,7 +145,7 @@ fn commands(team: &Team, problem: &Problem, at: &[f64]) -> impl Iterator<Item = 
     })
 }
 
-/// What is known after these commands.
+/// The information after these commands.
 fn commanded(situation: &Situation, noises: impl Iterator<Item = Noise>, commands: &[Command]) -> Information {
     let Situation { belief, team, step_s, .. } = situation;
     let prior = Information::of_covariance(&belief.position_covariance_m2());

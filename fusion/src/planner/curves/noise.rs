@@ -1,4 +1,4 @@
-//! What a robot's measurement tells, depending on where it is taken.
+//! The information of a robot's measurement, depending on where it is taken.
 
 use std::f64::consts::PI;
 
@@ -10,7 +10,7 @@ use super::information::Information;
 use crate::planner::TeamMember;
 use crate::vector::Vector;
 
-/// What a heading's rounding may turn the target out of the field of view.
+/// Largest angle by which a heading's rounding may turn the target out of the field of view.
 const ROUNDING_RAD: f64 = 1e-9;
 
 /// The noise of one robot's measurements and of its own pose.
@@ -63,7 +63,7 @@ impl Noise {
         self.bearing_rad2.is_none() || self.position_m2.determinant() > 0.0
     }
 
-    /// What a measurement tells with this sight to the target, m:
+    /// The information of a measurement with this sight to the target, m:
     /// `a e e^T + c e_p e_p^T`, `a = 1 / (sigma_r(d)^2 + e^T P e)`, `c = 1 / (d^2 (sigma_b^2 + sigma_psi^2) + e_p^T P e_p)`.
     pub(super) fn information(&self, sight_m: Vector) -> Information {
         self.information_over(sight_m, 1.0)
@@ -133,7 +133,7 @@ impl Noise {
         (information, Information { t: range_change + bearing_change, s })
     }
 
-    /// What range and bearing tell, given the products of the components of the sight's direction and its squared length.
+    /// The information of range and bearing, given the products of the components of the sight's direction and its squared length.
     fn general(&self, x2: f64, y2: f64, xy: f64, squared_m2: f64) -> (f64, f64) {
         let p = &self.position_m2;
         let mixed_m2 = 2.0 * xy * p[(0, 1)];

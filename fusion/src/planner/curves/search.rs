@@ -56,7 +56,7 @@ pub(super) struct Memory {
     scratch: Scratch,
 }
 
-/// What is at hand while a node is bounded.
+/// Memory for the bound of a node.
 #[derive(Debug, Default)]
 struct Scratch {
     vertices: Vertices,
@@ -69,7 +69,7 @@ struct Node {
     bound: f64,
     /// Each robot's interval.
     intervals: Vec<(f64, f64)>,
-    /// What the best point of its hulls is made of.
+    /// The parts of the best point of its hulls.
     vertices: Vec<Vertex>,
     /// The robot to split, and where.
     split: (usize, f64),

@@ -24,7 +24,7 @@ pub(super) struct Support {
     pub(super) bound: f64,
     /// The place that has most, as a parameter of the curve.
     pub(super) at: f64,
-    /// What it tells.
+    /// Its information.
     pub(super) information: Information,
 }
 

@@ -94,7 +94,7 @@ impl Team {
         (0..self.curves.len()).filter(|i| self.is_fused[*i])
     }
 
-    /// What is known after measurements from these places.
+    /// The information after measurements from these places.
     pub(super) fn total(&self, at: &[f64]) -> Information {
         self.fused().fold(self.prior, |sum, i| sum + self.curves[i].information(at[i]))
     }

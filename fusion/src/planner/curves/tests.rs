@@ -76,7 +76,7 @@ fn reachable(problem: &Problem, robot: usize, heading: f64, share: f64) -> Optio
     (keeps_off && reach.holds(offset_m, &problem.corners_m)).then_some(offset_m)
 }
 
-/// What the robot tells from there, if the target is in its field of view.
+/// The information of the robot's measurement from there, if the target is in its field of view.
 fn added(curve: &Curve, member: &TeamMember, problem: &Problem, robot: usize, offset_m: Vector) -> Information {
     let sight_m = problem.reaches[robot].to_target_m - offset_m;
     let turn_rad = offset_m.cross(sight_m).abs().atan2(offset_m.dot(sight_m));

@@ -1,4 +1,4 @@
-//! What is known of the target at the steps ahead, given where the robots measure.
+//! The belief about the target at the steps ahead, given where the robots measure.
 
 use nalgebra::{Matrix2, Vector2};
 use rangehound_shared::motion::Transition;
@@ -42,11 +42,11 @@ impl<const N: usize> Ahead<'_, N> {
     }
 
     /// Counts the measurements at the end of a step, and goes on to the next: the filter's own update and prediction.
-    pub(super) fn measure(&self, known: &mut Known<N>, told: Information) {
-        let Information { t, s } = told;
+    pub(super) fn measure(&self, known: &mut Known<N>, information: Information) {
+        let Information { t, s } = information;
         let matrix = Matrix2::new(t + s.x, s.y, s.y, t - s.x) * 0.5;
         let prior = Information::of_covariance(&known.target.position_covariance());
-        known.cost += self.situation.criterion.cost(prior + told);
+        known.cost += self.situation.criterion.cost(prior + information);
         let updated = known.target.update(&filter::Information { matrix, vector: Vector2::zeros(), count: 0 });
         known.target = updated.predict(&self.transition);
     }
@@ -83,8 +83,8 @@ impl<const N: usize> Ahead<'_, N> {
         reach.motion_along(heading, &corners.corners_m)
     }
 
-    /// What a robot's measurement tells after it went this way to a place.
-    pub(super) fn told(&self, known: &Known<N>, robot: usize, way_m: Vector, position_m: Vector) -> Information {
+    /// The information of a robot's measurement after it went this way to a place.
+    pub(super) fn information(&self, known: &Known<N>, robot: usize, way_m: Vector, position_m: Vector) -> Information {
         if !self.situation.team[robot].is_fused {
             return Information::default();
         }

@@ -44,9 +44,9 @@ pub(super) struct Courses {
     pub(super) headings: Vec<Vector>,
     /// Where the robots are at the start of each step, and at the end of the last, m.
     places_m: Vec<Vector>,
-    /// What each robot's measurement at the end of each step tells.
-    told: Vec<Information>,
-    /// What the measurements of all robots but one tell, by step.
+    /// The information of each robot's measurement at the end of each step.
+    informations: Vec<Information>,
+    /// The information of the measurements of all robots but one, by step.
     rest: Vec<Information>,
     /// Headings before a sweep.
     before: Vec<Vector>,
@@ -70,7 +70,7 @@ impl Courses {
         (self.steps, self.blocks, self.robots, self.work) = (steps, blocks, robots, 0);
         self.headings.resize(blocks * robots, Vector::default());
         self.places_m.resize((steps + 1) * robots, Vector::default());
-        self.told.resize(steps * robots, Information::default());
+        self.informations.resize(steps * robots, Information::default());
         self.rest.resize(steps, Information::default());
     }
 
@@ -136,9 +136,9 @@ impl Courses {
 
     /// Improves the headings of one robot, block by block.
     fn improve<const N: usize>(&mut self, ahead: &Ahead<'_, N>, robot: usize, look: Look) {
-        for (rest, told) in self.rest.iter_mut().zip(self.told.chunks(self.robots)) {
-            let others = told.iter().enumerate().filter(|(other, _)| *other != robot);
-            *rest = others.fold(Information::default(), |sum, (_, told)| sum + *told);
+        for (rest, informations) in self.rest.iter_mut().zip(self.informations.chunks(self.robots)) {
+            let others = informations.iter().enumerate().filter(|(other, _)| *other != robot);
+            *rest = others.fold(Information::default(), |sum, (_, information)| sum + *information);
         }
         let mut from = (self.places_m[robot], ahead.first());
         for block in 0..self.blocks {
@@ -173,8 +173,8 @@ impl Courses {
         }
     }
 
-    /// One robot along its course through these blocks, from its place and what is known at their start, while the others tell what
-    /// they told. Stops early once the cost is above a limit.
+    /// One robot along its course through these blocks, from its place and what is known at their start, while the information of
+    /// the others stays. Stops early once the cost is above a limit.
     fn go<const N: usize>(
         &mut self,
         ahead: &Ahead<'_, N>,
@@ -187,14 +187,14 @@ impl Courses {
             if known.cost > limit {
                 break;
             }
-            let (next_m, told) = self.advance(ahead, &known, robot, step, place_m);
+            let (next_m, information) = self.advance(ahead, &known, robot, step, place_m);
             place_m = next_m;
-            ahead.measure(&mut known, self.rest[step] + told);
+            ahead.measure(&mut known, self.rest[step] + information);
         }
         (place_m, known)
     }
 
-    /// One robot through a step: where it ends, and what it tells there.
+    /// One robot through a step: where it ends, and the information of its measurement there.
     fn advance<const N: usize>(
         &mut self,
         ahead: &Ahead<'_, N>,
@@ -209,9 +209,9 @@ impl Courses {
         let (along, speed_mps) = ahead.motion(known, robot, from_m, heading, places_m, &mut self.corners);
         let way_m = along * (speed_mps * ahead.situation.step_s);
         next_m[robot] = from_m + way_m;
-        let told = ahead.told(known, robot, way_m, next_m[robot]);
-        self.told[step * robots + robot] = told;
+        let information = ahead.information(known, robot, way_m, next_m[robot]);
+        self.informations[step * robots + robot] = information;
         self.work += work_of_step(ahead.situation);
-        (next_m[robot], told)
+        (next_m[robot], information)
     }
 }

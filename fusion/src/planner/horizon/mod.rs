@@ -137,7 +137,7 @@ impl Horizon {
             for (robot, (member, command)) in later.team.iter_mut().zip(commands).enumerate() {
                 let way_m = Vector::from_angle(command.heading_rad) * (command.speed_mps * step_s);
                 member.position_m += way_m;
-                total += ahead.told(&known, robot, way_m, member.position_m);
+                total += ahead.information(&known, robot, way_m, member.position_m);
                 certified[row + robot] += way_m;
             }
             ahead.measure(&mut known, total);

@@ -38,8 +38,8 @@ fn situation(robots: std::ops::Range<usize>) -> impl Strategy<Value = Situation>
         )
 }
 
-/// What a robot's measurement tells of the position after it went this way, from the definitions.
-fn told(member: &TeamMember, way_m: Vector, sight_m: Vector) -> Matrix2<f64> {
+/// The information of a robot's measurement about the position after it went this way, from the definitions.
+fn information(member: &TeamMember, way_m: Vector, sight_m: Vector) -> Matrix2<f64> {
     let TeamMember { position_covariance_m2: pose_m2, heading_std_rad, sensor, is_fused, .. } = *member;
     let turn_rad = way_m.cross(sight_m).abs().atan2(way_m.dot(sight_m));
     let is_seen = way_m == Vector::default() || turn_rad <= 0.5 * sensor.view_rad() + 1e-9;
@@ -60,10 +60,10 @@ fn told(member: &TeamMember, way_m: Vector, sight_m: Vector) -> Matrix2<f64> {
     range.unwrap_or_default() + bearing.unwrap_or_default()
 }
 
-/// The cost of measurements that tell this, by dense matrices.
-fn cost_of_step(situation: &Situation, told: &Matrix2<f64>) -> f64 {
+/// The cost of measurements with this information, by dense matrices.
+fn cost_of_step(situation: &Situation, measured: &Matrix2<f64>) -> f64 {
     let mut information = situation.belief.covariance.fixed_view::<4, 4>(0, 0).try_inverse().unwrap();
-    let sum = information.fixed_view::<2, 2>(0, 0) + told;
+    let sum = information.fixed_view::<2, 2>(0, 0) + measured;
     information.fixed_view_mut::<2, 2>(0, 0).copy_from(&sum);
     let position = information.try_inverse().unwrap().fixed_view::<2, 2>(0, 0).into_owned();
     match situation.criterion {
@@ -81,8 +81,8 @@ fn cost_of(ahead: &Ahead<'_, 4>, steps: usize, mut ways_m: impl FnMut(usize, &Si
         for (i, way_m) in ways_m(step, &now).into_iter().enumerate() {
             let member = &mut now.team[i];
             member.position_m += way_m;
-            total += told(member, way_m, now.belief.position_m() - member.position_m);
-            of_planner += ahead.told(&known, i, way_m, member.position_m);
+            total += information(member, way_m, now.belief.position_m() - member.position_m);
+            of_planner += ahead.information(&known, i, way_m, member.position_m);
         }
         cost += cost_of_step(&now, &total);
         // By the planner's own arithmetic: a difference in the last digits may turn the next certified plan.
@@ -195,7 +195,7 @@ fn run_trace_m2(spec: PlannerSpec, start: &Situation, seed: u64) -> f64 {
         let mut total = Information::default();
         for (i, way_m) in ways_m(&plan.commands, now.step_s).into_iter().enumerate() {
             now.team[i].position_m += way_m;
-            total += ahead.told(&known, i, way_m, now.team[i].position_m);
+            total += ahead.information(&known, i, way_m, now.team[i].position_m);
         }
         ahead.measure(&mut known, total);
         let mut drawn = [0.0; 2];

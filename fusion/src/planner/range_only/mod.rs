@@ -79,7 +79,7 @@ impl RangeOnly {
         Self { solver, problem: Problem::default(), solution: Solution::default() }
     }
 
-    /// What these commands are worth.
+    /// The worth of these commands.
     pub(super) fn worth(&mut self, situation: &Situation, commands: &[Command]) -> Worth {
         let Self { problem, solution, .. } = self;
         problem.pose(situation);

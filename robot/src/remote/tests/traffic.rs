@@ -1,4 +1,4 @@
-//! What the links of a team need of a network: the tables of docs/machines.md, made of the frames that the two ends exchange.
+//! The traffic of a team's links: the tables of docs/machines.md, made of the frames that the two ends exchange.
 
 use super::*;
 use crate::remote::wire::{FRAME_LEN_MAX, MEASUREMENTS_MAX};

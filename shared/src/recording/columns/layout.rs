@@ -197,9 +197,9 @@ impl<'a> Finder<'a> {
         } else {
             format!("; if one of them is meant, type --columns {}{hint}", options.join(","))
         };
-        let columns = if own.len() > 1 { "columns" } else { "column" };
+        let (columns, it) = if own.len() > 1 { ("columns", "them") } else { ("column", "it") };
         let wrong = format!("missing {columns} {}", own.join(" and "));
-        table.header_error(wrong, format!("expected it among the columns {}{other}", table.listed_columns()))
+        table.header_error(wrong, format!("expected {it} among the columns {}{other}", table.listed_columns()))
     }
 
     /// The unused columns, and how the others are read.

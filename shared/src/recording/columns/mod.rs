@@ -66,7 +66,7 @@ impl Role {
         }
     }
 
-    /// What its numbers measure; `None` for a text.
+    /// The quantity of its numbers; `None` for a text.
     pub(super) fn measures(self) -> Option<UnitKind> {
         match self {
             Self::Time => Some(UnitKind::Time),

@@ -238,7 +238,7 @@ impl<R: Read> Log<'_, R> {
         while let Some(row) = self.table.next()? {
             let taken = match row {
                 Row::Bad(complaint) => Err(RowError::Bad(complaint)),
-                Row::Whole => self.take_row(),
+                Row::Complete => self.take_row(),
             };
             match taken {
                 Ok(()) => {}

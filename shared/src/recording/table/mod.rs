@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 
 use crate::recording::error::{Complaint, Problem, RecordingError, listed, quoted, shown};
 use dialect::{Fields, Numbers, Separator};
-use lines::Lines;
+use lines::{Lines, Refused};
 use unit::Unit;
 
 /// Rows examined to find the separator.
@@ -36,7 +36,7 @@ pub(super) struct Table<R> {
 /// A row of a table.
 pub(super) enum Row {
     /// The row has as many fields as the header.
-    Whole,
+    Complete,
     /// The row has more or fewer fields, or they cannot be separated.
     Bad(Complaint),
 }
@@ -95,16 +95,20 @@ impl<R: Read> Table<R> {
             }
             _ => {
                 table.separator = separator;
-                table.take_header(known, by_number)?;
+                table.take_header(known, by_number, !comments.is_empty())?;
             }
         }
         Ok(table)
     }
 
     /// Takes the first line as the header, unless the file has none.
-    fn take_header(&mut self, known: usize, by_number: Option<bool>) -> Result<(), RecordingError> {
+    fn take_header(&mut self, known: usize, by_number: Option<bool>, has_comments: bool) -> Result<(), RecordingError> {
         let Some((number, line)) = self.pending.pop_front() else {
-            return Err(self.header_error("no line", "expected a header that names the columns"));
+            return Err(if has_comments {
+                self.error("only comments", "expected a header that names the columns")
+            } else {
+                RecordingError::new(&self.path, Problem::Empty)
+            });
         };
         (self.header_line, self.line) = (number, number);
         let fields = Fields::of(&line, self.separator);
@@ -159,7 +163,13 @@ impl<R: Read> Table<R> {
     /// Reads the next line that is not empty.
     fn read_line(&mut self, line: &mut Vec<u8>) -> Result<bool, RecordingError> {
         loop {
-            if !self.lines.read(line).map_err(|error| RecordingError::unreadable(&self.path, &error))? {
+            let is_read = self.lines.read(line).map_err(|error| match error.get_ref() {
+                Some(refused) if refused.is::<Refused>() => {
+                    RecordingError::new(&self.path, Problem::Unreadable(refused.to_string()))
+                }
+                _ => RecordingError::unreadable(&self.path, &error),
+            })?;
+            if !is_read {
                 return Ok(false);
             }
             if !dialect::is_empty(line) {
@@ -205,7 +215,7 @@ impl<R: Read> Table<R> {
             let got = format!("missing, the row has {count} fields,");
             return Ok(Some(Row::Bad(Complaint { column: shown(column), expected, got })));
         }
-        Ok(Some(Row::Whole))
+        Ok(Some(Row::Complete))
     }
 
     fn surplus(&self) -> RecordingError {

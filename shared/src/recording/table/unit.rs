@@ -25,7 +25,7 @@ pub(in crate::recording) enum Unit {
     Degree,
 }
 
-/// What a unit measures.
+/// The quantity that a unit measures.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(in crate::recording) enum UnitKind {
     Time,

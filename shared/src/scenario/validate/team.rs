@@ -176,7 +176,7 @@ impl Checker<'_> {
         })
     }
 
-    /// What a `[sensor.NAME]` measures, and the nuisances of its ranges.
+    /// The measurements of a `[sensor.NAME]`, and the nuisances of its ranges.
     fn sensor(&self, name: &str, table: &SensorTable) -> Result<(SensorSpec, NuisanceSpec), ScenarioError> {
         let key = |key: &str| format!("sensor.{name}.{key}");
         let std_per_m = self.number(&key("range_std_per_m"), table.range_std_per_m, 0.0, STD_PER_M)?;

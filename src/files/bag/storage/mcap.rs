@@ -65,7 +65,7 @@ fn damaged(error: &McapError) -> Fault {
     Fault::new("a damaged record", format!("expected an undamaged bag: {error}"))
 }
 
-/// What the file has had so far.
+/// The records of the file so far.
 #[derive(Default)]
 struct Contents {
     /// Name, language and text of each schema.

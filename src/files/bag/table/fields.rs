@@ -227,7 +227,7 @@ pub(super) struct Found {
 }
 
 impl Found {
-    /// What does not fit together, if anything.
+    /// The first contradiction, if any.
     pub(super) fn problem(&self) -> Option<String> {
         let lens = [("sensor", self.sensor.len()), ("target", self.target.len())];
         let numbers = NUMBERS.iter().zip(&self.numbers).map(|((key, _), values)| (*key, values.len()));

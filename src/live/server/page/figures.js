@@ -38,15 +38,15 @@ function percentiles(some) {
   return [some.p50, some.p90, some.p99].map((value) => micros(value).replace(/ (\S+)$/, "<small> $1</small>")).join(" · ");
 }
 
-function figuresOf({ tick, time_s, ticks_per_s, tally, latency }, about) {
+function figuresOf({ tick, time_s, ticks_per_s, counts, latency }, about) {
   return [
     ["tick", `${whole(tick)} <small>of ${rough(about.ticks)}</small>`],
     ["time", `${time_s >= 100 ? whole(time_s) : (time_s ?? 0).toFixed(1)} <small>s</small>`],
     ["speed", `${ticks_per_s == null ? "–" : number(ticks_per_s)} <small>ticks/s</small>`],
-    [`${about.measured} fused`, rough(tally.fused)],
-    ["rejected", whole(tally.rejected)],
-    ["late", whole(tally.late)],
-    ["missing", whole(tally.missing)],
+    [`${about.measured} fused`, rough(counts.fused)],
+    ["rejected", whole(counts.rejected)],
+    ["late", whole(counts.late)],
+    ["missing", whole(counts.missing)],
     ["range to heading p50 · p90 · p99", percentiles(latency.all), "wide"],
     ["the same, last seconds", percentiles(latency.recent), "wide"],
   ];

@@ -72,7 +72,7 @@ function draw() {
     charts.draw(picture);
     showFigures(byId("figures"), picture, about);
     // Of a fast run only some ticks are read.
-    const { ticks } = picture.tally;
+    const { ticks } = picture.counts;
     byId("about").textContent = ticks < picture.tick ? `${about.text}; counts are of ${rough(ticks)} ticks` : about.text;
     byId("progress").firstElementChild.style.width = `${(100 * picture.tick) / Math.max(about.ticks, 1)}%`;
     // For tests: the number of drawn pictures, and the time of the first.

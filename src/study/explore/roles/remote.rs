@@ -28,7 +28,7 @@ pub(in crate::study::explore) struct RemoteEnd {
     session: Option<Session>,
     /// When it next tries to join, by its own clock, ns.
     attempt_ns: u64,
-    /// What it has joined last.
+    /// The run life that it has joined last.
     of: Option<RunLife>,
 }
 

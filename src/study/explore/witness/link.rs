@@ -1,4 +1,4 @@
-//! What a gateway sends a robot, and publishes for it.
+//! The messages that a gateway sends a robot, and publishes for it.
 
 use std::collections::{BTreeMap, HashMap, HashSet};
 
@@ -16,10 +16,10 @@ const REPEATS_NS: u64 = 201_000_000;
 /// Over a good link, a measurement must have come within this time, ns: some repeats.
 const ARRIVES_NS: u64 = 600_000_000;
 
-/// What robots on other hosts have measured and driven, and what was published of it.
+/// The measurements and drives of robots on other hosts, and the published ones.
 #[derive(Debug, Default)]
 pub(in crate::study::explore) struct Reports {
-    /// What each robot has reported to drive at each tick, and whether by a heading.
+    /// The drive that each robot has reported at each tick, and whether it obeyed a heading.
     driven: HashMap<(usize, u64), Vec<(Command, bool)>>,
     /// The measurements that no gateway has published: when a process made each one, by robot and tick, ns.
     measured: BTreeMap<(usize, u64), u64>,
@@ -39,7 +39,7 @@ impl Reports {
         }
     }
 
-    /// A process of a robot has ended, with the measurements that it had not got rid of.
+    /// A process of a robot has ended, with the measurements that it had not sent yet.
     pub(in crate::study::explore) fn forget(&mut self, robot: usize) {
         self.measured.retain(|(of, _), _| *of != robot);
     }
@@ -72,7 +72,7 @@ fn driven(drive: &Drive) -> (Command, bool) {
     (Command { heading_rad, speed_mps }, heading_held_ns != 0)
 }
 
-/// What one relay has received and done.
+/// The messages and actions of one relay.
 #[derive(Debug)]
 pub(in crate::study::explore) struct LinkWitness {
     last_tick: u64,

@@ -47,7 +47,7 @@ pub(super) struct Witness {
     may_refuse: [bool; Refusal::ALL.len()],
     /// The robots' actions.
     pub(super) robots: Vec<RobotHistory>,
-    /// What robots on other hosts have sent.
+    /// The messages from robots on other hosts.
     pub(super) links: Reports,
     /// When ticks began and ended.
     pub(super) timing: Timing,

@@ -1,4 +1,4 @@
-//! What a robot receives and does.
+//! The messages to a robot and its actions.
 
 use std::collections::HashMap;
 
@@ -14,7 +14,7 @@ const HELD_TICKS: u64 = 3;
 /// Part of a tick after which a robot goes on without a heading.
 const HEADING_DEADLINE: f64 = 0.8;
 
-/// What one robot has done, in all its processes.
+/// The actions of one robot, in all its processes.
 #[derive(Debug, Default)]
 pub(in crate::study::explore) struct RobotHistory {
     /// The command that it obeyed at each tick.
@@ -23,7 +23,7 @@ pub(in crate::study::explore) struct RobotHistory {
     newest_obeyed: u64,
 }
 
-/// What one process of a robot has received, and what it must still do.
+/// The messages to one process of a robot, and its pending actions.
 #[derive(Debug, Clone)]
 pub(in crate::study::explore) struct RobotWitness {
     is_realtime: bool,

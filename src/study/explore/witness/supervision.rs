@@ -1,4 +1,4 @@
-//! What the supervisor does to nodes.
+//! The supervisor's actions on nodes.
 
 use std::ops::Range;
 
@@ -34,7 +34,7 @@ const WAIT_MAX_NS: u64 = 1_001_000_000;
 /// A node that fails this often in a row is given up.
 const FAILURES_MAX: u32 = 5;
 
-/// What the supervisor has observed and done.
+/// The supervisor's observations and actions.
 #[derive(Debug)]
 pub(in crate::study::explore) struct Supervision {
     is_endless: bool,

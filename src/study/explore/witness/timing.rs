@@ -57,7 +57,7 @@ pub(in crate::study::explore) enum Missing {
 #[derive(Debug, Clone, Copy)]
 pub(in crate::study::explore) struct Closing {
     pub(in crate::study::explore) tick: u64,
-    /// Who is missing.
+    /// The missing robots.
     pub(in crate::study::explore) missing: Missing,
     /// A later tick had begun, or the run had ended.
     pub(in crate::study::explore) is_cut: bool,
