@@ -199,8 +199,12 @@ impl Rendezvous {
         members.lock_shared().map_err(|source| place.io_error("members", source))?;
         // A run with a member is neither removed nor founded anew, so others may join while this process reads.
         drop(lock);
-        let sealed =
-            bounded::read(&place.path("run"), sealed::FILE_LEN_MAX).map_err(|source| place.io_error("run", source))?;
+        let sealed = match bounded::read(&place.path("run"), sealed::FILE_LEN_MAX) {
+            Ok(sealed) => sealed,
+            // Its founder has not opened it yet.
+            Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(None),
+            Err(source) => return Err(place.io_error("run", source)),
+        };
         let description = RunDescription::open(&sealed).map_err(|reason| match reason {
             SealError::OtherBuild(build) => RendezvousError::OtherBuild { name: name.clone(), build },
             reason => RendezvousError::Unusable { file: place.path("run"), reason },
