@@ -176,9 +176,10 @@ fn found(args: &ExperimentArgs, experiment: &Experiment) -> Result<(Rendezvous, 
         return Ok((living, folder));
     }
     let name = &experiment.name;
-    // Claimed before nodes can join the run and write to its folder.
+    // Only the process that has the run's name may change the folder, and nodes write to it as soon as they have joined.
+    let founded = Rendezvous::found_closed(name, experiment.description_for_nodes()).map_err(input_or_running)?;
     let folder = folder::prepare_folder(experiment)?;
-    let rendezvous = Rendezvous::found(name, experiment.description_for_nodes()).map_err(input_or_running)?;
+    let rendezvous = founded.open().map_err(input_or_running)?;
     let robots = rendezvous.description().scenario.robots.len();
     failure::print_stderr(format!(
         "sim: started run {name}; join it from other terminals with\n  rangehound fusion --name {name}\n  \

@@ -206,7 +206,7 @@ fn links(gateway: &GatewayNote) -> String {
 
 /// A line of the links' table.
 fn link([robot, host, address, trip, lost, repeated, silent]: &[String; 7]) -> String {
-    format!("{robot:<10} {host:<16} {address:<21} {trip:>8} {lost:>5} {repeated:>5} {silent:>8}").trim_end().to_owned()
+    format!("{robot:<10} {host:<16} {address:<21} {trip:>8} {lost:>5} {repeated:>6} {silent:>8}").trim_end().to_owned()
 }
 
 /// A row of the table, with the style of its state; or the heads.
@@ -288,7 +288,7 @@ mod tests {
         let refusals = [("no certificate".to_owned(), 3)].into();
         status.gateway = Some(GatewayNote { pid: 1, guests: vec![guest(0, 20), guest(255, 123_456)], refusals });
         let text = text(&status, true);
-        assert!(text.contains("1.3 ms  13 %   3 %   0.02 s") && text.contains("no certificate 3"), "{text}");
+        assert!(text.contains("1.3 ms  13 %    3 %   0.02 s") && text.contains("no certificate 3"), "{text}");
     }
 
     fn text(status: &Status, all: bool) -> String {

@@ -6,7 +6,7 @@
 //! |---|---|
 //! | `membership.lock` | the membership lock: held briefly to found, join or leave the run |
 //! | `members` | locked (shared) by every live member: if an exclusive lock succeeds, the run is dead |
-//! | `run` | the sealed [`RunDescription`] |
+//! | `run` | the sealed [`RunDescription`]: exists once the founder lets nodes join |
 //! | `iceoryx2.toml` | prefix and root of the run's shared memory |
 //! | `<role>.role` | locked by the process that holds the role; see [`Roster`] |
 //! | `ending` | exists once the supervisor ends the run |
@@ -93,6 +93,8 @@ pub struct Rendezvous {
     roster: Roster,
     description: RunDescription,
     presence: Presence,
+    /// The path of [`ENDING_NOTE`], which nodes look for in each tick.
+    ending: PathBuf,
     members: Option<File>,
 }
 
@@ -196,15 +198,15 @@ impl Rendezvous {
             Err(TryLockError::WouldBlock) => {}
             Err(TryLockError::Error(source)) => return Err(place.io_error("members", source)),
         }
+        // Its founder has not opened it yet.
+        if !place.path("run").exists() {
+            return Ok(None);
+        }
         members.lock_shared().map_err(|source| place.io_error("members", source))?;
         // A run with a member is neither removed nor founded anew, so others may join while this process reads.
         drop(lock);
-        let sealed = match bounded::read(&place.path("run"), sealed::FILE_LEN_MAX) {
-            Ok(sealed) => sealed,
-            // Its founder has not opened it yet.
-            Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(None),
-            Err(source) => return Err(place.io_error("run", source)),
-        };
+        let sealed =
+            bounded::read(&place.path("run"), sealed::FILE_LEN_MAX).map_err(|source| place.io_error("run", source))?;
         let description = RunDescription::open(&sealed).map_err(|reason| match reason {
             SealError::OtherBuild(build) => RendezvousError::OtherBuild { name: name.clone(), build },
             reason => RendezvousError::Unusable { file: place.path("run"), reason },
@@ -214,7 +216,8 @@ impl Rendezvous {
 
     fn member(place: Place, description: RunDescription, members: File) -> Self {
         let (roster, presence) = (Roster::of(&place), Presence::of(&place));
-        Self { place, roster, description, presence, members: Some(members) }
+        let ending = place.path(ENDING_NOTE);
+        Self { place, roster, description, presence, ending, members: Some(members) }
     }
 
     /// Founds the run again after its shared memory was removed from outside. Remains of it are removed too, so that
@@ -231,11 +234,11 @@ impl Rendezvous {
             self.place.remove();
         }
         drop(self);
-        let again = Self::found(&name, description)?;
+        let again = Self::found_closed(&name, description)?;
         for (role, starts) in starts {
-            again.roster.count_from(*role, *starts)?;
+            again.0.roster.count_from(*role, *starts)?;
         }
-        Ok(again)
+        again.open()
     }
 
     /// Checks at intervals that the run's shared memory still exists; call it in each round of a node's loop, with
@@ -405,7 +408,7 @@ impl Rendezvous {
     /// True if its supervisor ends the run. It sends a signal to the nodes that it has started; the others look for this.
     #[must_use]
     pub fn is_ending(&self) -> bool {
-        self.place.path(ENDING_NOTE).exists()
+        self.ending.exists()
     }
 
     /// Marks the run as ended.

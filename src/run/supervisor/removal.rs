@@ -33,6 +33,10 @@ pub(super) fn run_to_the_end(
     let mut removed: Option<String> = None;
     loop {
         let outcome_of_nodes = run_once(&rendezvous, supervision, gateway, termination, &mut past);
+        if outcome_of_nodes.is_err() {
+            // Nodes that others have started may have joined already.
+            let _ = rendezvous.write_note(ENDING_NOTE, "");
+        }
         let with_cause = |error: anyhow::Error| match &removed {
             Some(cause) if past.newest_tick.is_none() && !termination.requested() => error.context(cause.clone()),
             _ => error,
@@ -87,9 +91,7 @@ fn run_once(
         let bus = Bus::connect(rendezvous, "observer")?;
         let mut watch = Watch::new(&bus, description.scenario.ticks)?;
         let cleaner = Cleaner::start(rendezvous, scope);
-        let nodes = Nodes::start(rendezvous, &lease, (supervision, gateway), cleaner, past.summaries.clone());
-        // Nodes that others have started may have joined already.
-        let mut nodes = nodes.inspect_err(|_| _ = rendezvous.write_note(ENDING_NOTE, ""))?;
+        let mut nodes = Nodes::start(rendezvous, &lease, (supervision, gateway), cleaner, past.summaries.clone())?;
         let mut sidecars = Sidecars::of(rendezvous, &lease);
         if let Some(limit_mb) = supervision.record_limit_mb {
             sidecars.start("record", vec!["--record-limit".to_owned(), limit_mb.to_string()]);

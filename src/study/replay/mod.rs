@@ -104,7 +104,10 @@ pub fn replay(path: &Path, changes: &Changes, show: Option<Show>, json: bool) ->
         }
         Stopped::Reading(error) => refuse(&error),
         Stopped::Empty => match reader.missing_at_end() {
-            Some(missing) => Failure::Running(anyhow::anyhow!("{missing} in {}: {DAMAGED}", path.display())),
+            Some(missing) => Failure::Running(anyhow::anyhow!(
+                "{missing} in {}: the file is damaged: record the run again",
+                path.display()
+            )),
             None => refuse(&"it has no tick: record the run again"),
         },
         Stopped::Stepping(error @ StepError::Senseless { .. }) => refuse(&error),
