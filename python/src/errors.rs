@@ -66,7 +66,7 @@ pub(crate) fn interruptible<T: Send + 'static>(
     }
     let [_, all] = bytes.get();
     // A reader may stop before an index that it does not need.
-    if let Some(progress) = progress.filter(|_| all > 0) {
+    if let Some(progress) = progress.filter(|_| all > 0 && shown != [all, all]) {
         progress.call1(py, (all, all))?;
     }
     worker.join().map_err(|_| failed(anyhow::anyhow!("the reader panicked: please report this")))
