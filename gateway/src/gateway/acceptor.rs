@@ -8,6 +8,7 @@ use std::time::Duration;
 
 use quinn::{Connection, ConnectionError, Endpoint, Incoming, RecvStream, SendStream, ServerConfig};
 use rustls::pki_types::CertificateDer;
+use serde::Serialize;
 use tokio::sync::mpsc::{self, Receiver, Sender};
 use tokio::sync::{oneshot, watch};
 
@@ -50,8 +51,8 @@ pub(super) struct Acceptor {
 }
 
 impl Acceptor {
-    /// Answers all connections, until the gateway ends. `config` is asked for each handshake. `finished` becomes true when the
-    /// run is over.
+    /// Answers all connections, until the endpoint is closed. `config` is asked for each handshake. `finished` becomes true when
+    /// the run is over.
     pub(super) async fn answer(
         self,
         endpoint: Endpoint,
@@ -59,13 +60,7 @@ impl Acceptor {
         finished: watch::Receiver<bool>,
     ) {
         let acceptor = Rc::new(self);
-        loop {
-            let mut is_finished = finished.clone();
-            let incoming = tokio::select! {
-                incoming = endpoint.accept() => incoming,
-                _ = is_finished.wait_for(|finished| *finished) => None,
-            };
-            let Some(incoming) = incoming else { return };
+        while let Some(incoming) = endpoint.accept().await {
             let count = acceptor.handshakes.count();
             if count >= HANDSHAKES_TRUSTED && !incoming.remote_address_validated() && incoming.may_retry() {
                 let _ = incoming.retry();
@@ -130,16 +125,33 @@ impl Acceptor {
         // An error means that the gateway ends.
         self.sender.send(Input::Applicant(Box::new(applicant))).await.map_err(|_| NotJoined::Gone)?;
         let answer = answered.await.map_err(|_| NotJoined::Gone)?;
-        let sent = link::write(&mut send, &answer).await;
-        if let Answer::Refused { text, .. } = answer {
-            let _ = send.finish();
-            let _ = tokio::time::timeout(FAREWELL, send.stopped()).await;
-            connection.close(link::REFUSED, text.as_bytes());
-            return Err(NotJoined::Answered);
+        match answer {
+            Answer::Welcome { .. } => {
+                link::write(&mut send, &answer).await.map_err(|_| NotJoined::Gone)?;
+                Ok(Guest { robot, connection, receive, send, notices })
+            }
+            Answer::Refused { ref text, .. } => {
+                say_last(&connection, &mut send, &answer).await;
+                connection.close(link::REFUSED, text.as_bytes());
+                Err(NotJoined::Answered)
+            }
+            Answer::Finished => {
+                if say_last(&connection, &mut send, &answer).await {
+                    let _ = self.sender.send(Input::Informed { robot }).await;
+                }
+                Err(NotJoined::Answered)
+            }
         }
-        sent.map_err(|_| NotJoined::Gone)?;
-        Ok(Guest { robot, connection, receive, send, notices })
     }
+}
+
+/// Says the last message to a peer. True if the peer has it in time, or has left in order.
+async fn say_last(connection: &Connection, send: &mut SendStream, message: &impl Serialize) -> bool {
+    let said =
+        async { link::write(send, message).await.is_ok() && send.finish().is_ok() && send.stopped().await.is_ok() };
+    let has_it = tokio::time::timeout(FAREWELL, said).await.unwrap_or(false);
+    let closed = connection.close_reason();
+    has_it || matches!(closed, Some(ConnectionError::ApplicationClosed(closed)) if closed.error_code == link::LEFT)
 }
 
 /// Why a peer has not joined.
@@ -205,9 +217,8 @@ impl Guest {
                         notice
                     }
                     Ok(_) = finished.wait_for(|finished| *finished) => {
-                        if link::write(&mut send, &Notice::Finished).await.is_ok() {
-                            let _ = send.finish();
-                            let _ = tokio::time::timeout(FAREWELL, send.stopped()).await;
+                        if say_last(&connection, &mut send, &Notice::Finished).await {
+                            let _ = sender.send(Input::Informed { robot }).await;
                         }
                         return;
                     }

@@ -102,6 +102,8 @@ impl<'a> Guests<'a> {
             Input::Lease(applicant, lease) => self.on_lease(applicant, lease),
             Input::Frame { robot, connection, bytes } => self.on_frame(robot, connection, &bytes)?,
             Input::Ordered { robot, has_arrived } => self.report_order(robot, has_arrived),
+            // No robot is informed while the run goes on.
+            Input::Informed { .. } => {}
             Input::Leaving { robot, connection } => {
                 // With its role, what it has driven would be lost.
                 self.publish_drives()?;
@@ -380,6 +382,11 @@ impl<'a> Guests<'a> {
         let refusals = self.refusals.borrow();
         let refusals = refusals.counts().iter().map(|(cause, count)| ((*cause).to_owned(), *count));
         GatewayNote { pid: std::process::id(), guests: guests.collect(), refusals: refusals.collect() }
+    }
+
+    /// The process of each robot.
+    pub(super) fn processes(&self) -> BTreeMap<usize, u64> {
+        self.all.iter().map(|(robot, guest)| (*robot, guest.occupant.process())).collect()
     }
 
     /// When the next frame is due, ns.

@@ -8,6 +8,7 @@ mod handshakes;
 mod refusals;
 
 use std::cell::RefCell;
+use std::collections::BTreeMap;
 use std::net::{SocketAddr, UdpSocket};
 use std::path::{Path, PathBuf};
 use std::rc::Rc;
@@ -23,7 +24,7 @@ use tokio::sync::mpsc::{self, Receiver, Sender};
 use tokio::sync::watch;
 
 use crate::keys::{Credentials, KeysError, Renewed};
-use crate::link;
+use crate::link::{self, Answer, Request};
 use acceptor::{Acceptor, Applicant};
 use guests::Guests;
 use handshakes::Handshakes;
@@ -35,8 +36,11 @@ const INPUTS_MAX: usize = 256;
 /// Longest sleep.
 const LOOK: Duration = Duration::from_millis(50);
 
-/// Longest time for which the end of the run is announced to the robots.
-const FAREWELL: Duration = Duration::from_secs(2);
+/// Longest time for which the end of the run is announced to the robots: one whose link is lost needs it to connect again.
+const FAREWELL: Duration = Duration::from_secs(5);
+
+/// Longest time for which the packets that close the connections are sent.
+const CLOSING: Duration = Duration::from_secs(2);
 
 /// Why a gateway ended early.
 #[derive(Debug, thiserror::Error)]
@@ -88,6 +92,8 @@ enum Input {
     Frame { robot: usize, connection: usize, bytes: Vec<u8> },
     /// A robot leaves in order.
     Leaving { robot: usize, connection: usize },
+    /// A robot knows that the run is over.
+    Informed { robot: usize },
     /// A robot has confirmed an order, or not in time.
     Ordered { robot: usize, has_arrived: bool },
 }
@@ -110,7 +116,7 @@ pub fn run(
     let runtime = link::runtime()?;
     let is_over = AtomicBool::new(false);
     std::thread::scope(|scope| {
-        let (sender, inputs) = mpsc::channel(INPUTS_MAX);
+        let (sender, mut inputs) = mpsc::channel(INPUTS_MAX);
         let bus_sender = sender.clone();
         let bus = scope.spawn(|| wait_on_bus(rendezvous, bus_sender, &is_over));
         let ended = runtime.block_on(async {
@@ -127,16 +133,17 @@ pub fn run(
             let acceptor = tokio::task::spawn_local(acceptor.answer(endpoint.clone(), config, when_finished));
             // Without them it would hold its role and serve no robot: the supervisor starts it again.
             let is_deaf = || acceptor.is_finished() || bus.is_finished();
-            let served = serve(&mut guests, inputs, (rendezvous, &lease), (termination, is_deaf)).await;
+            let served = serve(&mut guests, &mut inputs, (rendezvous, &lease), (termination, is_deaf)).await;
+            let processes = guests.processes();
             // The roles are free before the robots know that the gateway ends.
             drop(guests);
             // A run that was stopped is over for the robots too; one that lost its gateway is not.
             if rendezvous.is_finished() || rendezvous.is_ending() {
                 let _ = finished.send(true);
-                let _ = tokio::time::timeout(FAREWELL, finished.closed()).await;
+                let _ = tokio::time::timeout(FAREWELL, inform(processes, &mut inputs)).await;
             }
             endpoint.close(link::LEFT, b"the gateway has ended");
-            let _ = tokio::time::timeout(FAREWELL, endpoint.wait_idle()).await;
+            let _ = tokio::time::timeout(CLOSING, endpoint.wait_idle()).await;
             served
         });
         is_over.store(true, Ordering::Relaxed);
@@ -190,7 +197,7 @@ fn wait_on_bus(rendezvous: &Rendezvous, sender: Sender<Input>, is_over: &AtomicB
 
 async fn serve(
     guests: &mut Guests<'_>,
-    mut inputs: Receiver<Input>,
+    inputs: &mut Receiver<Input>,
     (rendezvous, lease): (&Rendezvous, &RoleLease),
     (termination, is_deaf): (&Termination, impl Fn() -> bool),
 ) -> Result<(), GatewayError> {
@@ -216,4 +223,26 @@ async fn serve(
         }
     }
     Ok(())
+}
+
+/// Waits until all robots know that the run is over. A robot whose link is lost just then connects again, and hears it.
+async fn inform(mut processes: BTreeMap<usize, u64>, inputs: &mut Receiver<Input>) {
+    while !processes.is_empty() {
+        match inputs.recv().await {
+            Some(Input::Applicant(applicant)) => {
+                let Request { robot, process, .. } = applicant.request;
+                let answer = if processes.get(&robot) == Some(&process) {
+                    Answer::Finished
+                } else {
+                    Answer::Refused { text: "the run is over".to_owned(), may_change: true }
+                };
+                let _ = applicant.answer.send(answer);
+            }
+            Some(Input::Informed { robot } | Input::Leaving { robot, .. }) => {
+                processes.remove(&robot);
+            }
+            Some(_) => {}
+            None => return,
+        }
+    }
 }

@@ -47,6 +47,8 @@ pub enum Answer {
         /// True if it may get it later.
         may_change: bool,
     },
+    /// The run in which it took part is over.
+    Finished,
 }
 
 /// A message of either end after that.

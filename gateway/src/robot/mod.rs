@@ -185,7 +185,7 @@ impl<E: FnMut(&Scenario) -> Option<Equipment>> Driver<E> {
                         part.on_frame(&bytes);
                     }
                 }
-                Happened::Noticed(Notice::Finished) => return Ok(()),
+                Happened::Noticed(Notice::Finished) => break,
                 Happened::Noticed(Notice::Kill) if self.allows_control => {
                     log::warn!("killed from the run's host");
                     if let Some(session) = &mut session {

@@ -270,6 +270,11 @@ async fn join(endpoint: Endpoint, connection: &Connection, request: &Request) ->
             connection.close(link::LEFT, b"refused");
             Some(Happened::Refused(Refusal { text, may_change }))
         }
+        Answer::Finished => {
+            connection.close(link::LEFT, b"the run is over");
+            let _ = timeout(FAREWELL, endpoint.wait_idle()).await;
+            Some(Happened::Noticed(Notice::Finished))
+        }
         Answer::Welcome { description, life, fusion_incarnation } => {
             let description = match RunDescription::open(description.as_bytes()) {
                 Ok(description) => description,

@@ -64,6 +64,23 @@ fn headings_are_fresh_again_soon_after_a_cut() {
     run.assert_nothing_left();
 }
 
+/// The link of a robot is lost when its run ends: the robot connects again, and hears it.
+#[test]
+fn a_robot_that_is_cut_off_when_its_run_ends_hears_of_it() {
+    let run = Run::new();
+    let (supervisor, gateway) = run.run("--clock realtime --ticks 60 --robots 2 --remote 0,1");
+    let link = Link::new(gateway, 3, Faults::default());
+    let robots = [0, 1].map(|id| run.robot(id, link.address));
+    run.wait_until_tick(55);
+    link.cut(true, true);
+    // Until some time after the end of the run: both ends have given the connection up.
+    std::thread::sleep(Duration::from_secs(2));
+    link.cut(false, false);
+    supervisor.succeeds();
+    robots.into_iter().for_each(Process::succeeds);
+    run.assert_nothing_left();
+}
+
 /// A robot whose host was rebooted has its first heading soon after its process has started.
 #[test]
 fn a_robot_whose_host_was_rebooted_is_soon_led_again() {
