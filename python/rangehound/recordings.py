@@ -27,7 +27,7 @@ class Calibration:
         self.sensor_ids: list[str] = keys["sensor_ids"]
         self.sensors: list[dict[str, Any]] = keys["findings"]["sensors"]
         self.accel_psd: dict[str, float] | None = keys["findings"]["accel_psd"]
-        self.undetermined: list[str] = keys["findings"]["untold"]
+        self.undetermined: list[str] = keys["findings"]["undetermined"]
         self.residuals = residuals
         self._toml = toml
 

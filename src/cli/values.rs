@@ -53,7 +53,7 @@ pub(super) const KINDS: OneOf<Option<Kind>> = OneOf(
             "All processes and the supervisor are killed at once; then the run is resumed",
         ),
         ("cut", Some(Kind::Cut), "With --hosts: a host is cut off the network, up to the longest cut"),
-        ("one-way", Some(Kind::CutOneWay), "With --hosts: the same, but only packets from the host or to it are lost"),
+        ("one-way", Some(Kind::OneWay), "With --hosts: the same, but only packets from the host or to it are lost"),
         (
             "reboot",
             Some(Kind::Reboot),

@@ -89,7 +89,7 @@ fn each_invariant_names_the_test_that_holds_it() {
     let page = Page::of("ARCHITECTURE.md");
     let mut faults = Vec::new();
     for (line, bullet) in page.section("Invariants").into_iter().filter(|(_, line)| line.starts_with("- ")) {
-        let tests: Vec<&str> = bullet.split_once("Tests: ").into_iter().flat_map(|(_, tests)| names(tests)).collect();
+        let tests: Vec<&str> = bullet.split_once("Test: ").into_iter().flat_map(|(_, tests)| names(tests)).collect();
         if tests.is_empty() && !bullet.contains("lints check it") {
             faults.push(format!("{}: no test: {bullet}", page.at(line)));
         }

@@ -25,7 +25,7 @@ fn faults_of_all_kinds_break_no_promise_in_lock_step() {
     assert_eq!(outcome["broken"].as_array().unwrap().len(), 0, "{outcome:#}");
     assert_eq!(outcome["injected"].as_array().unwrap().last().unwrap()["fault"], 11, "{outcome:#}");
     for kind in hits(&outcome, "kind") {
-        assert!(["kill", "stop", "storm", "several", "blackout"].contains(&kind.as_str()), "{kind}");
+        assert!(["kill", "stop", "crash-loop", "several", "total-outage"].contains(&kind.as_str()), "{kind}");
     }
     for key in ["clock", "robots", "chaos_seed", "faults", "ticks", "without_heading", "files_left", "rounds"] {
         assert!(!outcome[key].is_null(), "{key} in {outcome:#}");
@@ -59,7 +59,7 @@ fn killed_robots_come_back_in_real_time() {
     assert!(outcome["digest_equal"].is_null(), "{outcome:#}");
     assert!(hits(&outcome, "kind").iter().all(|kind| kind == "kill"), "{outcome:#}");
     assert!(hits(&outcome, "role").iter().all(|role| role.starts_with("robot-")), "{outcome:#}");
-    for error in ["hurt", "alone"] {
+    for error in ["faulted", "baseline"] {
         assert!(outcome["position_rmse_m"][error].as_f64() > Some(0.0), "{outcome:#}");
     }
     assert!(outcome["headings"]["fresh"].as_u64() > Some(0), "{outcome:#}");

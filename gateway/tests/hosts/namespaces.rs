@@ -34,7 +34,7 @@ fn in_lock_step_no_fault_between_hosts_changes_a_bit() {
     assert_eq!(outcome["broken"].as_array().map(Vec::len), Some(0), "{outcome:#}");
     assert_eq!((&outcome["hosts"], &outcome["network"]["loss"]), (&Value::from(3), &Value::from(0.05)), "{outcome:#}");
     let (kinds, roles) = (names(&outcome["injected"], "kind"), names(&outcome["injected"], "role"));
-    let is_of_hosts = |kind: &&str| ["cut", "oneway", "reboot"].contains(kind);
+    let is_of_hosts = |kind: &&str| ["cut", "one-way", "reboot"].contains(kind);
     assert!(kinds.iter().any(is_of_hosts) && roles.iter().any(|role| role.starts_with("host-")), "{outcome:#}");
 }
 

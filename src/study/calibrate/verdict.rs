@@ -31,7 +31,6 @@ pub struct Findings {
     /// Spectral density of the acceleration, m^2/s^3.
     pub accel_psd: Option<Measured>,
     /// The values that the data cannot determine, and why.
-    #[serde(rename = "untold")]
     pub undetermined: Vec<String>,
 }
 

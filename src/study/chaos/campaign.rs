@@ -269,7 +269,7 @@ fn result_of_logs(description: &RunDescription) -> anyhow::Result<RunResult> {
 
 /// The baseline: the same run without faults, in this process.
 fn baseline(description: &RunDescription) -> anyhow::Result<RunResult> {
-    let out_dir = description.out_dir.join("alone");
+    let out_dir = description.out_dir.join("baseline");
     let claim = out_folder::claim(&out_dir, crate::files::layout::Kind::Run, &[])
         .map_err(|refusal| anyhow::anyhow!("{refusal}"))?;
     claim.clear().map_err(|refusal| anyhow::anyhow!("{refusal}"))?;

@@ -10,25 +10,22 @@ use crate::study::hosts::link::Conditions;
 
 /// A kind of fault.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize)]
-#[serde(rename_all = "lowercase")]
+#[serde(rename_all = "kebab-case")]
 pub enum Kind {
     /// One node is killed.
     Kill,
     /// One node is stopped for a while.
     Stop,
     /// One node is killed, and its successors during their start.
-    #[serde(rename = "storm")]
     CrashLoop,
     /// Several nodes are killed at once.
     Several,
     /// All processes are killed at once, including the supervisor, and the run is resumed.
-    #[serde(rename = "blackout")]
     TotalOutage,
     /// The link of a host is cut for a while.
     Cut,
     /// The link of a host loses all packets in one direction for a while.
-    #[serde(rename = "oneway")]
-    CutOneWay,
+    OneWay,
     /// A host loses its robots and its network, and starts again after a while.
     Reboot,
 }
@@ -42,14 +39,14 @@ impl Kind {
         Self::Several,
         Self::TotalOutage,
         Self::Cut,
-        Self::CutOneWay,
+        Self::OneWay,
         Self::Reboot,
     ];
 
     /// True if it hits a host, and not a process.
     #[must_use]
     pub fn is_of_hosts(self) -> bool {
-        matches!(self, Self::Cut | Self::CutOneWay | Self::Reboot)
+        matches!(self, Self::Cut | Self::OneWay | Self::Reboot)
     }
 }
 
@@ -305,7 +302,7 @@ mod tests {
             asked.hosts = Some(OnHosts { count: 3, conditions, longest_cut_s: 2.0 });
             asked.victims = vec![Victim::Sim, Victim::Fusion, Victim::Robot, Victim::Gateway];
         });
-        for kind in [Kind::Cut, Kind::CutOneWay, Kind::Reboot] {
+        for kind in [Kind::Cut, Kind::OneWay, Kind::Reboot] {
             let of_kind = || all.iter().filter(|fault| fault.kind == kind);
             assert!(
                 [1, 2].into_iter().all(|host| of_kind().any(|fault| fault.targets == [Target::Host(host)])),
@@ -315,7 +312,7 @@ mod tests {
             assert!(of_kind().all(|fault| fault.lasts.as_millis() >= 10 && fault.lasts.as_secs_f64() <= 2.0));
             assert!(of_kind().any(|fault| fault.lasts.as_secs_f64() > 1.5), "{kind:?}");
         }
-        let one_way = || all.iter().filter(|fault| fault.kind == Kind::CutOneWay);
+        let one_way = || all.iter().filter(|fault| fault.kind == Kind::OneWay);
         assert!(one_way().any(|fault| fault.is_up) && one_way().any(|fault| !fault.is_up));
         assert!(all.iter().any(|fault| fault.kind == Kind::Kill && fault.targets == [Target::Node(Role::Gateway)]));
         let stops = all.iter().filter(|fault| fault.kind == Kind::Stop);

@@ -106,8 +106,8 @@ impl<'a> Live<'a> {
                 (Kind::Kill | Kind::Several | Kind::CrashLoop, _) => self.kill(target, hit),
                 // The caller does this, without the run.
                 (Kind::TotalOutage, _) => true,
-                (Kind::Cut | Kind::CutOneWay | Kind::Reboot, Target::Host(host)) => self.cut_off(host, what, hit),
-                (Kind::Cut | Kind::CutOneWay | Kind::Reboot, _) => false,
+                (Kind::Cut | Kind::OneWay | Kind::Reboot, Target::Host(host)) => self.cut_off(host, what, hit),
+                (Kind::Cut | Kind::OneWay | Kind::Reboot, _) => false,
             };
             if !is_hit {
                 continue;
@@ -195,7 +195,7 @@ impl<'a> Live<'a> {
                 self.stopped.retain(|(_, victim)| !matches!(victim, Victim::Remote(pid) if hosts.is_on(host, *pid)));
                 hosts.switch_off(host);
             }
-            Kind::CutOneWay => hosts.cut(host, what.is_up, !what.is_up),
+            Kind::OneWay => hosts.cut(host, what.is_up, !what.is_up),
             _ => hosts.cut(host, true, true),
         }
         self.recovering.retain(|earlier| earlier.target != Target::Host(host));

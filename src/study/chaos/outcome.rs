@@ -61,10 +61,8 @@ pub(super) struct Outcome {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub(super) struct PositionError {
     /// Of the faulted runs.
-    #[serde(rename = "hurt")]
     pub(super) faulted: f64,
     /// Of the baselines: the same runs in one process, where no range is ever missing.
-    #[serde(rename = "alone")]
     pub(super) baseline: f64,
 }
 
@@ -78,18 +76,15 @@ pub(super) struct RoleSummary {
     /// Stopped for a while.
     pub(super) stop: usize,
     /// Killed again and again while starting.
-    #[serde(rename = "storm")]
     pub(super) crash_loop: usize,
     /// Killed with others.
     pub(super) several: usize,
     /// Killed with everything.
-    #[serde(rename = "blackout")]
     pub(super) total_outage: usize,
     /// Cut off in both directions.
     pub(super) cut: usize,
     /// Cut off in one direction.
-    #[serde(rename = "oneway")]
-    pub(super) cut_one_way: usize,
+    pub(super) one_way: usize,
     /// Down for a while.
     pub(super) reboot: usize,
     /// From a kill until the role is taken again; `None` before the first.
@@ -175,10 +170,8 @@ pub(super) struct Round {
     /// Wall time, s.
     pub(super) wall_s: f64,
     /// The result in its logs.
-    #[serde(rename = "tally")]
     pub(super) result: RunResult,
     /// The result of the baseline.
-    #[serde(rename = "alone")]
     pub(super) baseline: Option<RunResult>,
     /// True if both must be equal: in lock step.
     pub(super) is_repeatable: bool,
@@ -274,7 +267,7 @@ impl Outcome {
             several: count(Kind::Several),
             total_outage: count(Kind::TotalOutage),
             cut: count(Kind::Cut),
-            cut_one_way: count(Kind::CutOneWay),
+            one_way: count(Kind::OneWay),
             reboot: count(Kind::Reboot),
             restart_ms: Percentiles::of(hits().filter_map(|hit| hit.restart_ms).collect()),
             recovery_ms: Percentiles::of(hits().filter_map(|hit| hit.recovery_ms).collect()),
@@ -404,13 +397,13 @@ impl Outcome {
     fn fmt_faults(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let [kill, stop, crash_loop, several, outage] = ["kill", "stop", "crash loop", "several", "outage"];
         writeln!(f, "  {:<16} {kill:>8} {stop:>8} {crash_loop:>11} {several:>8} {outage:>8}", "hits")?;
-        let of_hosts = |role: &&RoleSummary| role.cut + role.cut_one_way + role.reboot > 0;
+        let of_hosts = |role: &&RoleSummary| role.cut + role.one_way + role.reboot > 0;
         for role in self.faults.iter().filter(|role| !of_hosts(role)) {
             let RoleSummary { role, kill, stop, crash_loop, several, total_outage, .. } = role;
             writeln!(f, "  {role:<16} {kill:>8} {stop:>8} {crash_loop:>11} {several:>8} {total_outage:>8}")?;
         }
-        for RoleSummary { role, cut, cut_one_way, reboot, .. } in self.faults.iter().filter(of_hosts) {
-            writeln!(f, "  {role:<16} {cut} cut off, {cut_one_way} cut off in one direction, {reboot} restarted")?;
+        for RoleSummary { role, cut, one_way, reboot, .. } in self.faults.iter().filter(of_hosts) {
+            writeln!(f, "  {role:<16} {cut} cut off, {one_way} cut off in one direction, {reboot} restarted")?;
         }
         writeln!(f, "  {:<16} {:>26} {:>30}", "recovery, ms", "until its role is taken", "until it takes part")?;
         let [p50, p99, max] = ["p50", "p99", "max"];
