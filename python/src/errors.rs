@@ -38,11 +38,11 @@ pub(crate) fn failed(failure: impl Into<Failure>) -> PyErr {
 const LOOK: Duration = Duration::from_millis(5);
 
 /// Reads in a thread, so that Python can act on signals meanwhile, and show `progress`, a function of the bytes that have been read and of
-/// all. After a signal, or an exception of `progress`, nobody waits for the thread.
-pub(crate) fn interruptible<T: Send + 'static>(
+/// all. After a signal, or an exception of `progress`, nobody waits for the thread. What cannot be read is invalid input.
+pub(crate) fn interruptible<T: Send + 'static, E: ToString + Send + 'static>(
     py: Python<'_>,
     progress: Option<&Py<PyAny>>,
-    work: impl FnOnce(&BytesRead) -> T + Send + 'static,
+    work: impl FnOnce(&BytesRead) -> Result<T, E> + Send + 'static,
 ) -> PyResult<T> {
     let bytes = BytesRead::default();
     let of_work = bytes.clone();
@@ -64,12 +64,14 @@ pub(crate) fn interruptible<T: Send + 'static>(
         py.check_signals()?;
         show()?;
     }
+    let read = worker.join().map_err(|_| failed(anyhow::anyhow!("the reader panicked: please report this")))?;
+    let read = read.map_err(input)?;
     let [_, all] = bytes.get();
     // A reader may stop before an index that it does not need.
     if let Some(progress) = progress.filter(|_| all > 0 && shown != [all, all]) {
         progress.call1(py, (all, all))?;
     }
-    worker.join().map_err(|_| failed(anyhow::anyhow!("the reader panicked: please report this")))
+    Ok(read)
 }
 
 /// The first exception of a Python function that Rust has called where no error can be returned.

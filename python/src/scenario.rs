@@ -30,9 +30,8 @@ impl Scenario {
             let (file, file_name, folder) = (file.clone(), file_name.clone(), folder.clone());
             interruptible(py, progress, move |bytes| files::scenario_with(&file, &file_name, &folder, bytes))?
         } else {
-            files::scenario(file, file_name, folder)
+            files::scenario(file, file_name, folder).map_err(input)?
         };
-        let checked = checked.map_err(input)?;
         planner::for_team(checked.planner, checked.robots.len(), checked.seed)
             .map_err(|error| input(failure::located(error, file_name)))?;
         Ok(Self { given, checked })

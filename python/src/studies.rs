@@ -141,7 +141,7 @@ pub(crate) fn calibrate(
     let table = file.recording.ok_or_else(|| input("recording is missing: expected a table"))?;
     let given = table.clone();
     let read = move |bytes: &BytesRead| files::recording_of_with(&given, "the call of calibrate", Path::new(""), bytes);
-    let (recording, _) = interruptible(py, reading.as_ref(), read)?.map_err(input)?;
+    let (recording, _) = interruptible(py, reading.as_ref(), read)?;
     check(&table, &recording).map_err(failed)?;
     let truth = truth.map(|path| Truth::read(&path)).transpose().map_err(failed)?;
     let (fitted, is_wanted) = (AtomicUsize::new(0), AtomicBool::new(true));
@@ -188,7 +188,7 @@ pub(crate) fn calibrated(py: Python<'_>, keys: &str, toml: &str, reading: Option
     if let Some(table) = &mut file.recording {
         let given = table.clone();
         let read = move |bytes: &BytesRead| files::recording_of_with(&given, "the call of track", Path::new(""), bytes);
-        let (recording, _) = interruptible(py, reading.as_ref(), read)?.map_err(input)?;
+        let (recording, _) = interruptible(py, reading.as_ref(), read)?;
         let known: Vec<String> = recording.sensors().iter().map(|sensor| sensor.name.to_string()).collect();
         calibration::merge(&found, &known, table, &mut file.target.get_or_insert_default().noise_psd);
     }

@@ -76,6 +76,15 @@ def test_the_bytes_of_a_file_that_is_read_are_shown(ranges):
         ways[0](refuse)
 
 
+def test_a_file_that_is_refused_is_not_shown_as_read(ranges, tmp_path):
+    damaged, shown = tmp_path / "damaged.csv", []
+    damaged.write_bytes(b"time_s\n" + ranges.read_bytes())
+    keys = json.dumps({"recording": {"ranges": str(damaged)}})
+    with pytest.raises(rh.InputError):
+        rh._native.Scenario(keys=keys, progress=lambda *bytes_read: shown.append(bytes_read))
+    assert all(done < size for done, size in shown)
+
+
 def test_an_interrupt_ends_a_calibration_and_its_thread(python):
     script = (
         "import numpy as np, rangehound as rh, os, pathlib, signal, threading\n"

@@ -23,6 +23,17 @@ fn names<'a>(hits: &'a Value, key: &str) -> Vec<&'a str> {
     hits.as_array().unwrap().iter().filter_map(|hit| hit[key].as_str()).collect()
 }
 
+#[track_caller]
+fn assert_all_kept(outcome: &Value) {
+    assert_eq!(outcome["broken"].as_array().map(Vec::len), Some(0), "{outcome:#}");
+}
+
+#[track_caller]
+fn assert_no_bit_changed(outcome: &Value) {
+    assert_eq!(outcome["digest_equal"], true, "{outcome:#}");
+    assert_all_kept(outcome);
+}
+
 /// Cuts, restarts of hosts and kills of everything else, over links that lose packets: no bit changes.
 #[test]
 #[cfg_attr(not(namespaces), ignore = "needs network and time namespaces: root, iproute2 and util-linux")]
@@ -30,8 +41,7 @@ fn in_lock_step_no_fault_between_hosts_changes_a_bit() {
     let run = Run::new();
     let words = "chaos --hosts 3 --robots 5 --faults 14 --rate 5 --ticks 2000 --loss 0.05 --jitter 1 --longest-cut 0.8";
     let outcome = study(&run, words, "chaos.json");
-    assert_eq!(outcome["digest_equal"], true, "{outcome:#}");
-    assert_eq!(outcome["broken"].as_array().map(Vec::len), Some(0), "{outcome:#}");
+    assert_no_bit_changed(&outcome);
     assert_eq!((&outcome["hosts"], &outcome["network"]["loss"]), (&Value::from(3), &Value::from(0.05)), "{outcome:#}");
     let (kinds, roles) = (names(&outcome["injected"], "kind"), names(&outcome["injected"], "role"));
     let is_of_hosts = |kind: &&str| ["cut", "one-way", "reboot"].contains(kind);
@@ -49,7 +59,7 @@ fn in_lock_step_bad_links_change_no_bit() {
         let words = "chaos --hosts 3 --robots 4 --faults 2 --rate 2 --kinds cut --longest-cut 0.2 --ticks 150";
         let outcome = study(&run, &format!("{words} {link}"), "chaos.json");
         assert_eq!(outcome["digest_equal"], true, "{link}: {outcome:#}");
-        assert_eq!(outcome["broken"].as_array().map(Vec::len), Some(0), "{link}: {outcome:#}");
+        assert_all_kept(&outcome);
     }
 }
 
@@ -60,8 +70,7 @@ fn in_lock_step_slow_links_change_no_bit() {
     let run = Run::new();
     let words = "chaos --hosts 3 --robots 4 --faults 2 --rate 0.5 --kinds cut --longest-cut 0.8 --ticks 15 --delay 300";
     let outcome = study(&run, words, "chaos.json");
-    assert_eq!(outcome["digest_equal"], true, "{outcome:#}");
-    assert_eq!(outcome["broken"].as_array().map(Vec::len), Some(0), "{outcome:#}");
+    assert_no_bit_changed(&outcome);
 }
 
 /// In real time most headings are in time, with ticks that are longer than some round trips.
@@ -75,7 +84,7 @@ fn in_real_time_most_headings_come_in_time_over_bad_links() {
         let [fresh, late, none] = ["fresh", "late", "none"].map(|key| outcome["headings"][key].as_u64().unwrap());
         println!("{link}: {fresh} headings in time, {late} late, {none} missing");
         assert!(10 * fresh > 9 * (fresh + late + none), "{link}: {outcome:#}");
-        assert_eq!(outcome["broken"].as_array().map(Vec::len), Some(0), "{link}: {outcome:#}");
+        assert_all_kept(&outcome);
     }
 }
 
@@ -86,7 +95,7 @@ fn robots_recover_from_cuts_and_restarts_of_their_host() {
     let run = Run::new();
     let words = "chaos --hosts 2 --clock realtime --robots 2 --kinds cut,reboot --faults 3 --rate 1 --longest-cut 0.7";
     let outcome = study(&run, words, "chaos.json");
-    assert_eq!(outcome["broken"].as_array().map(Vec::len), Some(0), "{outcome:#}");
+    assert_all_kept(&outcome);
     assert!(names(&outcome["injected"], "role").iter().all(|role| *role == "host-1"), "{outcome:#}");
     let hosts = outcome["faults"].as_array().unwrap().iter().find(|role| role["role"] == "host").unwrap();
     assert!(hosts["recovery_ms"]["count"].as_u64() > Some(0), "{outcome:#}");

@@ -68,11 +68,13 @@ impl Conditions {
     pub const GOOD: Self =
         Self { loss: 0.0, burst: 1, duplicates: 0.0, delay_s: 0.0, jitter_s: 0.0, cut_every_s: None, cut_for_s: 0.0 };
 
-    /// True while the link of a host is cut that is cut at intervals, this time after its beginning, s. The first cut of the
-    /// first host ends with the interval, the others' are before it.
+    /// True while the link of a host is cut that is cut at intervals, this time after its beginning, s. The first cut of host 1
+    /// ends with the interval, and those of the others follow.
     fn cuts(&self, host: usize, elapsed_s: f64) -> bool {
-        let since_s = |every_s: f64| (elapsed_s + host as f64 * self.cut_for_s).rem_euclid(every_s);
-        self.cut_every_s.is_some_and(|every_s| since_s(every_s) < self.cut_for_s)
+        self.cut_every_s.is_some_and(|every_s| {
+            let since_first_s = elapsed_s - every_s - (host as f64 - 2.0) * self.cut_for_s;
+            since_first_s >= 0.0 && since_first_s.rem_euclid(every_s) < self.cut_for_s
+        })
     }
 }
 
@@ -303,6 +305,8 @@ mod tests {
         let at_intervals = Conditions { cut_every_s: Some(10.0), ..never };
         assert_eq!(cut_at(&never, 1), [0; 0]);
         assert_eq!(cut_at(&at_intervals, 1), [8, 9, 18, 19]);
-        assert_eq!(cut_at(&at_intervals, 2), [6, 7, 16, 17]);
+        assert_eq!(cut_at(&at_intervals, 2), [10, 11, 20, 21]);
+        let overlapping = Conditions { cut_every_s: Some(10.0), cut_for_s: 9.0, ..never };
+        assert_eq!(cut_at(&overlapping, 2), [10, 11, 12, 13, 14, 15, 16, 17, 18, 20, 21]);
     }
 }
