@@ -24,7 +24,7 @@ const HANDSHAKE_TIMEOUT: Duration = Duration::from_secs(3);
 /// Time for which a refused peer may read why.
 const FAREWELL: Duration = Duration::from_secs(1);
 
-/// Time for which the handshake of a refused peer still counts as under way: it has cost a signature.
+/// Time for which the handshake of a peer that is refused or goes away still counts as under way: it has cost a signature.
 const REST: Duration = Duration::from_secs(1);
 
 /// Handshakes under way from which on each peer must first prove its address: it costs a round trip, and a stranger with a
@@ -85,7 +85,8 @@ impl Acceptor {
                         acceptor.refuse(address, cause, &text);
                         tokio::time::sleep(REST).await;
                     }
-                    Ok(Err(NotJoined::Answered | NotJoined::Gone)) | Err(_) => {}
+                    Ok(Err(NotJoined::Gone)) => tokio::time::sleep(REST).await,
+                    Ok(Err(NotJoined::Answered)) | Err(_) => {}
                 }
             });
         }
@@ -228,10 +229,12 @@ impl Guest {
                 }
             }
         };
+        // A robot that leaves ends the frames, too: what it has said counts first.
         tokio::select! {
-            () = frames => {}
-            () = listen => {}
+            biased;
             () = talk => {}
+            () = listen => {}
+            () = frames => {}
         }
     }
 }

@@ -384,9 +384,9 @@ impl<'a> Guests<'a> {
         GatewayNote { pid: std::process::id(), guests: guests.collect(), refusals: refusals.collect() }
     }
 
-    /// The process of each robot.
-    pub(super) fn processes(&self) -> BTreeMap<usize, u64> {
-        self.all.iter().map(|(robot, guest)| (*robot, guest.occupant.process())).collect()
+    /// The robots that have joined.
+    pub(super) fn robots(&self) -> BTreeSet<usize> {
+        self.all.keys().copied().collect()
     }
 
     /// When the next frame is due, ns.

@@ -8,7 +8,7 @@ mod handshakes;
 mod refusals;
 
 use std::cell::RefCell;
-use std::collections::BTreeMap;
+use std::collections::BTreeSet;
 use std::net::{SocketAddr, UdpSocket};
 use std::path::{Path, PathBuf};
 use std::rc::Rc;
@@ -24,7 +24,7 @@ use tokio::sync::mpsc::{self, Receiver, Sender};
 use tokio::sync::watch;
 
 use crate::keys::{Credentials, KeysError, Renewed};
-use crate::link::{self, Answer, Request};
+use crate::link::{self, Answer};
 use acceptor::{Acceptor, Applicant};
 use guests::Guests;
 use handshakes::Handshakes;
@@ -134,13 +134,14 @@ pub fn run(
             // Without them it would hold its role and serve no robot: the supervisor starts it again.
             let is_deaf = || acceptor.is_finished() || bus.is_finished();
             let served = serve(&mut guests, &mut inputs, (rendezvous, &lease), (termination, is_deaf)).await;
-            let processes = guests.processes();
+            let robots = guests.robots();
             // The roles are free before the robots know that the gateway ends.
             drop(guests);
             // A run that was stopped is over for the robots too; one that lost its gateway is not.
             if rendezvous.is_finished() || rendezvous.is_ending() {
                 let _ = finished.send(true);
-                let _ = tokio::time::timeout(FAREWELL, inform(processes, &mut inputs)).await;
+                let informing = inform(robots, &mut inputs, rendezvous.description().run_id, &lease);
+                let _ = tokio::time::timeout(FAREWELL, informing).await;
             }
             endpoint.close(link::LEFT, b"the gateway has ended");
             let _ = tokio::time::timeout(CLOSING, endpoint.wait_idle()).await;
@@ -225,24 +226,24 @@ async fn serve(
     Ok(())
 }
 
-/// Waits until all robots know that the run is over. A robot whose link is lost just then connects again, and hears it.
-async fn inform(mut processes: BTreeMap<usize, u64>, inputs: &mut Receiver<Input>) {
-    while !processes.is_empty() {
-        match inputs.recv().await {
-            Some(Input::Applicant(applicant)) => {
-                let Request { robot, process, .. } = applicant.request;
-                let answer = if processes.get(&robot) == Some(&process) {
+/// Waits until these robots know that the run is over. A robot whose link is lost just then connects again, and hears it.
+async fn inform(mut robots: BTreeSet<usize>, inputs: &mut Receiver<Input>, run_id: u64, lease: &RoleLease) {
+    while !robots.is_empty() {
+        lease.renew(monotonic_ns());
+        match tokio::time::timeout(LOOK, inputs.recv()).await {
+            Ok(Some(Input::Applicant(applicant))) => {
+                let answer = if applicant.request.took_part_in == Some(run_id) {
                     Answer::Finished
                 } else {
                     Answer::Refused { text: "the run is over".to_owned(), may_change: true }
                 };
                 let _ = applicant.answer.send(answer);
             }
-            Some(Input::Informed { robot } | Input::Leaving { robot, .. }) => {
-                processes.remove(&robot);
+            Ok(Some(Input::Informed { robot } | Input::Leaving { robot, .. })) => {
+                robots.remove(&robot);
             }
-            Some(_) => {}
-            None => return,
+            Ok(Some(_)) | Err(_) => {}
+            Ok(None) => return,
         }
     }
 }

@@ -26,6 +26,9 @@ pub struct Request {
     /// True if it obeys [`Notice::Kill`] and [`Notice::End`].
     #[serde(default)]
     pub allows_control: bool,
+    /// The id of the last run in which it took part, if any.
+    #[serde(default)]
+    pub took_part_in: Option<u64>,
 }
 
 /// The gateway's answer.
@@ -111,4 +114,36 @@ pub async fn read<T: DeserializeOwned>(stream: &mut RecvStream, len_max: Option<
     let mut text = vec![0; len as usize];
     stream.read_exact(&mut text).await.map_err(failed)?;
     serde_json::from_slice(&text).map_err(|_| JoinError::Malformed)
+}
+
+#[cfg(test)]
+mod tests {
+    use rangehound_shared::protocol::PROTOCOL;
+
+    use super::*;
+
+    /// A host with another version must get its answer: a change needs a new number, and new lines here.
+    #[test]
+    fn joining_changes_only_with_the_protocol() {
+        let request = Request {
+            protocol: 0,
+            program: "0".to_owned(),
+            robot: 0,
+            process: 0,
+            run: None,
+            allows_control: false,
+            took_part_in: None,
+        };
+        let welcome = Answer::Welcome { description: "d".to_owned(), life: 0, fusion_incarnation: 0 };
+        let refused = Answer::Refused { text: "t".to_owned(), may_change: false };
+        let answers = [welcome, refused, Answer::Finished];
+        let notices = [Notice::Finished, Notice::Leaving, Notice::Kill, Notice::End];
+        let text = serde_json::to_string(&(request, answers, notices)).unwrap();
+        let expected = concat!(
+            r#"[{"protocol":0,"program":"0","robot":0,"process":0,"run":null,"allows_control":false,"took_part_in":null},"#,
+            r#"[{"Welcome":{"description":"d","life":0,"fusion_incarnation":0}},"#,
+            r#"{"Refused":{"text":"t","may_change":false}},"Finished"],["Finished","Leaving","Kill","End"]]"#,
+        );
+        assert_eq!((PROTOCOL, text.as_str()), (9, expected));
+    }
 }

@@ -169,7 +169,7 @@ impl<E: FnMut(&Scenario) -> Option<Equipment>> Driver<E> {
             match happened {
                 Happened::Joined(joined) => match self.join(&joined) {
                     Ok(()) => {
-                        connector.report_joined();
+                        connector.report_joined(joined.description.run_id);
                         session = Some(*joined);
                     }
                     Err(text) => {
@@ -186,6 +186,10 @@ impl<E: FnMut(&Scenario) -> Option<Equipment>> Driver<E> {
                     }
                 }
                 Happened::Noticed(Notice::Finished) => break,
+                Happened::Finished(endpoint) => {
+                    session::say_goodbye(&endpoint).await;
+                    break;
+                }
                 Happened::Noticed(Notice::Kill) if self.allows_control => {
                     log::warn!("killed from the run's host");
                     if let Some(session) = &mut session {

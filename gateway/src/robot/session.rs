@@ -43,6 +43,9 @@ pub(super) enum Happened {
     Frame(Vec<u8>),
     /// The gateway says that the run is over, or that this process is to end.
     Noticed(Notice),
+    /// The gateway answers that the run in which this robot took part is over. The connection is closed, and its last packet may
+    /// not be sent yet.
+    Finished(Endpoint),
     /// The connection has ended.
     Ended,
     /// Time is up.
@@ -74,7 +77,8 @@ pub(super) struct Connector {
     /// Those of earlier attempts.
     handshakes: Handshakes,
     reported: Option<String>,
-    has_joined: bool,
+    /// The id of the last run that it has joined.
+    took_part_in: Option<u64>,
 }
 
 /// An open link of a robot that has joined.
@@ -100,7 +104,7 @@ impl Connector {
         let config = Renewed::new(target.keys.clone(), config_of as ConfigOf)?;
         let process = rand::random();
         let handshakes = Handshakes::new();
-        Ok(Self { target, config, robot, process, attempt: None, handshakes, reported: None, has_joined: false })
+        Ok(Self { target, config, robot, process, attempt: None, handshakes, reported: None, took_part_in: None })
     }
 
     pub(super) fn is_idle(&self) -> bool {
@@ -116,6 +120,7 @@ impl Connector {
             process: self.process,
             run: self.target.run.clone(),
             allows_control: self.target.allows_control,
+            took_part_in: self.took_part_in,
         };
         let (target, config) = (self.target.clone(), self.config.present().clone());
         let mut handshakes = std::mem::take(&mut self.handshakes);
@@ -162,8 +167,8 @@ impl Connector {
     }
 
     /// Reports that the robot takes part. A link that is opened again is worth a line only if there was one about its end.
-    pub(super) fn report_joined(&mut self) {
-        let is_first = !std::mem::replace(&mut self.has_joined, true);
+    pub(super) fn report_joined(&mut self, run_id: u64) {
+        let is_first = self.took_part_in.replace(run_id).is_none();
         if self.reported.take().is_some() || is_first {
             log::info!("robot-{} has joined the run through {}", self.robot, self.target.gateway);
         }
@@ -272,8 +277,7 @@ async fn join(endpoint: Endpoint, connection: &Connection, request: &Request) ->
         }
         Answer::Finished => {
             connection.close(link::LEFT, b"the run is over");
-            let _ = timeout(FAREWELL, endpoint.wait_idle()).await;
-            Some(Happened::Noticed(Notice::Finished))
+            Some(Happened::Finished(endpoint))
         }
         Answer::Welcome { description, life, fusion_incarnation } => {
             let description = match RunDescription::open(description.as_bytes()) {
@@ -298,6 +302,11 @@ async fn join(endpoint: Endpoint, connection: &Connection, request: &Request) ->
             })))
         }
     }
+}
+
+/// Sends the last packets of connections that are closed.
+pub(super) async fn say_goodbye(endpoint: &Endpoint) {
+    let _ = timeout(FAREWELL, endpoint.wait_idle()).await;
 }
 
 async fn notice_of(mut receive: RecvStream) -> Option<Notice> {
@@ -356,6 +365,6 @@ impl Session {
         self.notice.abort();
         self.say(Notice::Leaving).await;
         self.connection.close(link::LEFT, b"the robot has left");
-        let _ = timeout(FAREWELL, self.endpoint.wait_idle()).await;
+        say_goodbye(&self.endpoint).await;
     }
 }

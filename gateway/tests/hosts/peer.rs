@@ -39,6 +39,7 @@ pub(crate) fn request(robot: usize) -> Request {
         process: rand::random(),
         run: None,
         allows_control: false,
+        took_part_in: None,
     }
 }
 

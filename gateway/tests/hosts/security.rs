@@ -12,7 +12,7 @@ use rand_chacha::ChaCha8Rng;
 use rangehound_gateway::keys::{Authority, GATEWAY_NAME, Host, HostRole, RobotHost, Validity, make};
 use rangehound_gateway::link;
 
-use crate::peer;
+use crate::peer::{self, Peer};
 use crate::support::{Faults, LIMIT, Link, Process, Run, resident_kb};
 
 /// A run with keys of two authorities.
@@ -504,6 +504,24 @@ fn a_peer_that_goes_away_is_no_refusal() {
     std::thread::sleep(Duration::from_millis(4_000));
     let refusals = run.wait_for("the note", || Some(run.status()?["gateway"]["refusals"].as_object()?.len()));
     assert_eq!(refusals, 0, "{:?}", run.status());
+    run.finish_ok(&format!("stop --name {}", run.name));
+    drop(supervisor);
+}
+
+/// The places of handshakes count for a while after a stranger has gone, because they have cost as much.
+#[test]
+fn strangers_that_go_away_at_once_run_out_of_places() {
+    let run = Run::new();
+    let (supervisor, gateway) = run.run("--clock lockstep --timeout forever --robots 1");
+    let strangers = async {
+        while run.refused("too many handshakes") == 0 {
+            let connecting = Peer::connect(gateway, Ipv4Addr::LOCALHOST.into(), peer::without_keys());
+            // It closes its connection; without a place there is no answer.
+            let _ = tokio::time::timeout(Duration::from_millis(200), connecting).await;
+        }
+    };
+    let limited = async { tokio::time::timeout(LIMIT, strangers).await };
+    link::runtime().unwrap().block_on(limited).expect("the places run out");
     run.finish_ok(&format!("stop --name {}", run.name));
     drop(supervisor);
 }

@@ -53,12 +53,6 @@ impl Occupant {
         }
     }
 
-    /// Its number.
-    #[must_use]
-    pub fn process(&self) -> u64 {
-        self.process
-    }
-
     /// A frame of it came.
     pub fn hear(&mut self, now_ns: u64) {
         self.heard_ns = now_ns;

@@ -31,6 +31,9 @@ use crate::run::watch;
 /// Time in which nodes must end by themselves once the run is over, and once they are asked to.
 const GRACE: Duration = Duration::from_secs(3);
 
+/// The same for the gateway, which tells the robots of other hosts that the run is over: those whose links are lost connect again first.
+const GATEWAY_GRACE: Duration = Duration::from_secs(8);
+
 /// For this long after a death, unfinished shared memory of dead processes is removed. It takes several tries, because
 /// a process that waits for it sometimes holds it open, like its maker would.
 const HALF_MADE: Duration = Duration::from_secs(1);
@@ -264,7 +267,11 @@ impl<'a> Nodes<'a> {
 
     fn wait_for_all(&mut self) {
         let began = Instant::now();
-        while self.nodes.iter_mut().any(Node::is_running) && began.elapsed() < GRACE {
+        let is_awaited = |node: &mut Node| {
+            let grace = if node.role == Role::Gateway { GATEWAY_GRACE } else { GRACE };
+            node.is_running() && began.elapsed() < grace
+        };
+        while self.nodes.iter_mut().any(is_awaited) {
             self.lease.renew(monotonic_ns());
             std::thread::sleep(Duration::from_millis(5));
         }
