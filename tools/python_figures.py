@@ -13,6 +13,7 @@ import contextlib
 import json
 import os
 import pathlib
+import signal
 import statistics
 import subprocess
 import sys
@@ -239,60 +240,83 @@ def fresh_headings():
 
 def ros_messages():
     """What a subscriber of another process gets of a run with ten robots and 100 Hz that the node shows: messages that it lacks."""
-    return ros()["lost"], f"messages lost of {ros()['ticks']}, M = 10, 100 Hz", 0.0
+    ticks, found_by, lost = 2000, 500, 0
+    with folder() as path, ears() as listener, ros_run(path, ticks) as run:
+        with node():
+            run.report()
+        listener.terminate()
+        heard = json.loads(listener.communicate()[0].splitlines()[-1])["/target/pose"]
+        stamps = [round((pose["header"]["stamp"]["sec"] - 1 + pose["header"]["stamp"]["nanosec"] * 1e-9) / 0.01) for pose in heard]
+        lost = len(set(range(found_by, ticks + 1)) - set(stamps))
+    return float(lost), f"messages lost of {ticks - found_by + 1}, M = 10, 100 Hz", 0.0
 
 
 def ros_loop():
-    """How much longer the loop takes with the node attached, and a subscriber in another process beside it."""
-    alone_us, heard_us = ros()["attached"], ros()["heard"]
-    return alone_us, f"% more from range to heading at p50, nobody subscribes; with a subscriber {heard_us:+.1f} %", 5.0
+    """How much longer the loop takes with the node attached. In one run the node is stopped and continued, in turns."""
+    alone_percent = longer_percent(contextlib.nullcontext())
+    heard_percent = longer_percent(ears())
+    return alone_percent, f"% more from range to heading at p50, nobody subscribes; with a subscriber {heard_percent:+.1f} %", 5.0
 
 
-_ros = {}
+def longer_percent(beside):
+    """The same with another process, which is stopped and continued, too: the median of pairs of turns."""
+    ticks, turn_s, settled_s = 6000, 1.4, 0.4
+    with folder() as path, beside as other, ros_run(path, ticks) as run, node() as shows:
+        processes = [process for process in (shows, other) if process is not None]
+        # Until the node has started.
+        time.sleep(3)
+        turns, ends_s = [], clock_s() + 0.01 * ticks - 6
+        while clock_s() < ends_s:
+            for is_on in (False, True):
+                for process in processes:
+                    process.send_signal(signal.SIGCONT if is_on else signal.SIGSTOP)
+                turns.append(clock_s() + settled_s)
+                time.sleep(turn_s)
+        run.report()
+        live = rh.load(path / "out")
+    sent_s, took_ns = live.sent_ns * 1e-9, live.sent_ns - live.last_range_ns
+    medians = [np.median(took_ns[(sent_s > turn) & (sent_s < turn + turn_s - settled_s)]) for turn in turns]
+    return float(np.median([100 * (on / off - 1) for off, on in zip(medians[::2], medians[1::2])]))
 
 
-def ros():
-    """Runs with ten robots and 100 Hz: alone, with the node, and with the node and a subscriber, in turns."""
-    if _ros:
-        return _ros
+def clock_s():
+    """The clock of a run's stamps, s."""
+    return time.clock_gettime(time.CLOCK_BOOTTIME)
+
+
+def ros_run(path, ticks):
+    """A run with ten robots and 100 Hz."""
     import rclpy  # noqa: F401
 
-    tests = ROOT / "python/tests"
+    return rh.run(name=NAME, out=path / "out", dt_s=0.01, ticks=ticks, robots={"count": 10}, clock="realtime", planner="certified")
+
+
+def ros_process(*words):
+    """Another interpreter, whose ROS talks to this machine alone."""
     own = {"ROS_DOMAIN_ID": "77", "ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET", "RMW_IMPLEMENTATION": "rmw_fastrtps_cpp",
-           "FASTDDS_DEFAULT_PROFILES_FILE": str(tests / "ros2_loopback.xml"), "PYTHONUNBUFFERED": "1"}
-    pipes = dict(stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True, env={**os.environ, **own})
-    p50_us, lost, ticks = {"alone": [], "attached": [], "heard": []}, [], 2000
+           "FASTDDS_DEFAULT_PROFILES_FILE": str(ROOT / "python/tests/ros2_loopback.xml"), "PYTHONUNBUFFERED": "1"}
+    return subprocess.Popen([sys.executable, *words], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True, env={**os.environ, **own})
 
-    def one(how, path):
-        ears = None
-        if how == "heard":
-            ears = subprocess.Popen([sys.executable, tests / "ros2_listener.py", "/target/pose=geometry_msgs/PoseWithCovarianceStamped"], **pipes)
-            assert ears.stdout.readline() == "ready\n"
-        with rh.run(name=NAME, out=path / "out", dt_s=0.01, ticks=ticks, robots={"count": 10}, clock="realtime", planner="certified") as run:
-            node = None if how == "alone" else subprocess.Popen([sys.executable, "-m", "rangehound.ros2", "--name", NAME], **pipes)
-            run.report()
-        if node is not None:
-            node.communicate()
-        live = rh.load(path / "out")
-        # The node and its subscriber find each other meanwhile.
-        later = slice(ticks // 4, -1)
-        p50_us[how].append(float(np.median((live.sent_ns - live.last_range_ns)[later])) * 1e-3)
-        if ears is not None:
-            ears.terminate()
-            heard = json.loads(ears.communicate()[0].splitlines()[-1])["/target/pose"]
-            stamps = [round((pose["header"]["stamp"]["sec"] - 1 + pose["header"]["stamp"]["nanosec"] * 1e-9) / 0.01) for pose in heard]
-            lost.append(len(set(range(ticks // 4, ticks + 1)) - set(stamps)))
 
-    for _ in range(3):
-        for how in p50_us:
-            with folder() as path:
-                one(how, path)
-    middle = {how: statistics.median(times) for how, times in p50_us.items()}
-    more = {how: 100 * (middle[how] / middle["alone"] - 1) for how in ("attached", "heard")}
-    _ros.update(more, lost=float(sum(lost)), ticks=3 * (ticks - ticks // 4 + 1))
+@contextlib.contextmanager
+def node():
+    """The node that shows the run. It ends with it."""
+    process = ros_process("-m", "rangehound.ros2", "--name", NAME)
+    yield process
+    process.communicate()
     for file in pathlib.Path("/dev/shm").glob("lttng-ust-wait-*"):
         file.unlink(missing_ok=True)
-    return _ros
+
+
+@contextlib.contextmanager
+def ears():
+    """A subscriber, which knows ROS alone."""
+    process = ros_process(ROOT / "python/tests/ros2_listener.py", "/target/pose=geometry_msgs/PoseWithCovarianceStamped")
+    assert process.stdout.readline() == "ready\n"
+    yield process
+    if process.poll() is None:
+        process.terminate()
+        process.communicate()
 
 
 def importing():

@@ -10,7 +10,7 @@ import subprocess
 import sys
 import threading
 import time
-from typing import Any, Iterator, NamedTuple, Sequence
+from typing import Any, Iterator, Sequence
 
 import numpy as np
 
@@ -36,6 +36,9 @@ _NICE = 10
 
 #: How long subscribers may take to be found before ticks of the past are published, and for how long no more of them come then, s.
 _DISCOVERY_S, _SETTLED_S = 5.0, 1.0
+
+#: Time between two looks for subscribers, s: to look at each tick would take longer than the rest.
+_LOOK_S = 0.05
 
 #: Ticks of the past after which subscribers must have taken them, fewer than a publisher keeps; and how long they may take, s.
 _AT_ONCE, _TAKEN_S = 50, 1.0
@@ -113,16 +116,18 @@ def controller_limits(session: Session, defaults: unicycle.Limits) -> unicycle.L
     )
 
 
-class Topic(NamedTuple):
+class Topic:
     """A publisher, and the message that is filled in at each tick."""
 
-    publisher: Any
-    message: Any
+    def __init__(self, publisher: Any, message: Any) -> None:
+        self.publisher, self.message = publisher, message
+        #: Whether anybody subscribes to it: otherwise the message need not be made.
+        self.is_heard = False
 
-    @property
-    def is_heard(self) -> bool:
-        """True if anybody subscribes to it: otherwise the message need not be made."""
-        return bool(self.publisher.get_subscription_count() > 0)
+    def look(self) -> bool:
+        """Looks for subscribers."""
+        self.is_heard = self.publisher.get_subscription_count() > 0
+        return self.is_heard
 
     def publish(self, stamp: Any) -> None:
         """Publishes the message with a stamp."""
@@ -169,11 +174,14 @@ class Node:
         self._led_by_others: set[int] = set()
         self._frames = self._made_frames(map_frame, target_frame, base_frames) if with_tf else None
         self._markers, self._marked_s, self._marker_interval_s = self._made_markers(map_frame), -math.inf, 1.0 / rate_hz if rate_hz > 0.0 else math.inf
-        self._clock = None
+        self._clock: Topic | None = None
         if is_simulated_time:
             clock = message_type("rosgraph_msgs", "Clock", "/clock", needed=True)
-            self._clock = (session.publisher(clock, "/clock", newest), clock())
+            self._clock = Topic(session.publisher(clock, "/clock", newest), clock())
         self._diagnostics = self._made_diagnostics(reliable)
+        optional = [self._odometry, self._clock, self._frames and self._frames[0], self._markers and self._markers[0]]
+        self._topics = [self._target, *self._poses, *self._twists.values(), *(topic for topic in optional if topic is not None)]
+        self._is_heard, self._looked_s = False, -math.inf
         self._newest: Tick | None = None
         self._rejected = 0
         # By the steady clock: ticks may cease.
@@ -192,7 +200,7 @@ class Node:
         transforms = [_framed(TransformStamped, map_frame) for _ in named]
         for transform, frame in zip(transforms, named):
             transform.child_frame_id = frame
-        return self._session.publisher(message, "/tf", QoSProfile(depth=100)), message(), transforms
+        return Topic(self._session.publisher(message, "/tf", QoSProfile(depth=100)), message()), transforms
 
     def _made_markers(self, map_frame: str) -> Any:
         array = message_type("visualization_msgs", "MarkerArray", "rangehound/markers")
@@ -203,7 +211,7 @@ class Node:
         from visualization_msgs.msg import Marker
 
         markers = Markers((array, Marker, Point), map_frame)
-        return self._session.publisher(array, "rangehound/markers", QoSProfile(depth=1)), markers
+        return Topic(self._session.publisher(array, "rangehound/markers", QoSProfile(depth=1)), markers.message), markers
 
     def _made_diagnostics(self, qos: Any) -> Any:
         array = message_type("diagnostic_msgs", "DiagnosticArray", "/diagnostics")
@@ -214,25 +222,28 @@ class Node:
         return self._session.publisher(array, "/diagnostics", qos), array, (DiagnosticStatus, KeyValue)
 
     def publish(self, tick: Tick) -> None:
-        """Publishes a tick on all topics."""
+        """Publishes a tick on all topics that anybody subscribes to."""
+        self._rejected += int(tick.rejected)
+        self._newest = tick
+        now_s = time.monotonic()
+        if now_s - self._looked_s >= _LOOK_S:
+            self._looked_s = now_s
+            self._is_heard = any([topic.look() for topic in self._topics])
+        if not self._is_heard:
+            return
         stamp = self._stamp(tick)
-        if self._clock is not None:
-            publisher, message = self._clock
-            message.clock = stamp
-            publisher.publish(message)
+        if self._clock is not None and self._clock.is_heard:
+            self._clock.message.clock = stamp
+            self._clock.publisher.publish(self._clock.message)
         self._publish_target(tick, stamp)
         # A robot that has not reported is nowhere.
         for robot in np.flatnonzero(np.isfinite(tick.believed_m).all(axis=1)).tolist():
             self._publish_robot(tick, robot, stamp)
         self._publish_frames(tick, stamp)
-        now_s = time.monotonic()
-        if self._markers is not None and now_s - self._marked_s >= self._marker_interval_s:
-            publisher, markers = self._markers
-            if publisher.get_subscription_count() > 0:
-                publisher.publish(markers.fill(tick, stamp))
-                self._marked_s = now_s
-        self._rejected += int(tick.rejected)
-        self._newest = tick
+        if self._markers is not None and self._markers[0].is_heard and now_s - self._marked_s >= self._marker_interval_s:
+            topic, markers = self._markers
+            topic.publisher.publish(markers.fill(tick, stamp))
+            self._marked_s = now_s
 
     def _stamp(self, tick: Tick) -> Any:
         if self._is_simulated_time:
@@ -284,12 +295,12 @@ class Node:
             twist.publish(stamp)
 
     def _publish_frames(self, tick: Tick, stamp: Any) -> None:
-        if self._frames is None:
+        if self._frames is None or not self._frames[0].is_heard:
             return
-        publisher, message, transforms = self._frames
+        topic, transforms = self._frames
         target = self._target_of(tick).pose
         robots = np.column_stack([tick.believed_m, tick.believed_height_m, tick.believed_heading_rad])[self._simulated].tolist()
-        message.transforms = []
+        topic.message.transforms = []
         for transform, (x_m, y_m, z_m, yaw_rad) in zip(transforms, [target[:4], *robots]):
             if not math.isfinite(x_m):
                 continue
@@ -297,8 +308,8 @@ class Node:
             moved.translation.x, moved.translation.y, moved.translation.z = x_m, y_m, z_m
             moved.rotation.z, moved.rotation.w = messages.quaternion_of(yaw_rad)
             transform.header.stamp = stamp
-            message.transforms.append(transform)
-        publisher.publish(message)
+            topic.message.transforms.append(transform)
+        topic.publisher.publish(topic.message)
 
     def _look(self) -> None:
         """Once a second: who else leads robots, and the diagnostics."""
