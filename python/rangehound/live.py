@@ -306,13 +306,13 @@ def run(
         file.flush()
         process = subprocess.Popen([*words, file.name], stdout=subprocess.PIPE, stderr=log, text=True)
         live = LiveRun(process, name, program, log)
-        _wait_until_founded(live)
+        _wait_until_created(live)
     if callable(planner):
         threading.Thread(target=live._lead, args=(planner,), name="planner", daemon=True).start()
     return live
 
 
-def _wait_until_founded(live: LiveRun) -> None:
+def _wait_until_created(live: LiveRun) -> None:
     """Waits until the run can be joined, and is that of this process and not another of its name: its scenario has been read then."""
     while live._process.poll() is None:
         try:

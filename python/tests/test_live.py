@@ -105,7 +105,7 @@ def test_an_observer_ends_when_all_processes_of_its_run_have_been_killed(program
         for node in nodes:
             os.kill(node["pid"], signal.SIGKILL)
         assert nodes[0]["name"] == "run" and len(list(ticks)) < 90_000
-    # The next founder removes what they have left.
+    # The next creator removes what they have left.
     with rh.run(name=name, out=tmp_path / "next", program=program, ticks=3) as run:
         run.report()
 

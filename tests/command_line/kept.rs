@@ -238,7 +238,7 @@ fn a_hangup_ends_a_run_with_its_report_unless_it_is_ignored() {
 fn a_joining_simulator_with_other_flags_is_refused_by_flag() {
     let run = Run::new();
     let first = run.node("sim --out out --seed 7");
-    run.wait_until("the run is founded", || run.path("out/scenario.toml").exists() && first.has_joined());
+    run.wait_until("the run is created", || run.path("out/scenario.toml").exists() && first.has_joined());
     for (flag, expected) in [
         ("--seed 99", "--seed differs from run"),
         ("--ticks 3", "--ticks differs from run"),

@@ -150,7 +150,7 @@ fn a_port_or_robot_that_is_not_there_is_refused() {
     let example = example();
     let run = Run::new();
     let sim = run.command("sim --clock realtime --ticks 1000");
-    run.wait_until("the run is founded", || sim.has_joined());
+    run.wait_until("the run is created", || sim.has_joined());
     let refusal =
         |id: &str, port: &str| run.start_program(&example, &["--name", &run.name, "--id", id, "--port", port]).finish();
     for (refused, names) in [(refusal("0", "/dev/no-such-port"), "/dev/no-such-port"), (refusal("9", "-"), "--id")] {

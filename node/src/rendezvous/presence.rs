@@ -24,7 +24,7 @@ const NODES_PER_LOOK: usize = 4;
 const SURE: Duration = Duration::from_millis(250);
 
 /// Files that every member needs until the run ends.
-const FOUNDATION: [&str; 4] = [MEMBERSHIP_LOCK, "members", "run", "iceoryx2.toml"];
+const COMMON_FILES: [&str; 4] = [MEMBERSHIP_LOCK, "members", "run", "iceoryx2.toml"];
 
 /// Suffix that the kernel appends to the name of a removed file.
 const REMOVED: &str = " (deleted)";
@@ -90,7 +90,7 @@ pub struct Inspection {
 impl Inspection {
     pub(super) fn of(place: &Place) -> Self {
         let wait_groups = place.files().into_iter().filter(|path| path.to_string_lossy().ends_with("_wait_groups.dyn"));
-        let common = FOUNDATION.map(|file| place.path(file)).into_iter().chain(wait_groups).map(Known::of).collect();
+        let common = COMMON_FILES.map(|file| place.path(file)).into_iter().chain(wait_groups).map(Known::of).collect();
         Self { place: place.clone(), common, suspects: Vec::new(), next: 0 }
     }
 
