@@ -15,14 +15,14 @@ pub struct GatewayNote {
     /// The gateway's process.
     pub pid: u32,
     /// The robots that have joined.
-    pub guests: Vec<GuestNote>,
+    pub robots: Vec<RemoteRobotNote>,
     /// Peers that were refused, by cause.
     pub refusals: BTreeMap<String, u64>,
 }
 
 /// The link to one robot.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct GuestNote {
+pub struct RemoteRobotNote {
     /// Its number.
     pub robot: usize,
     /// Its host, by its certificate, or its address.

@@ -6,7 +6,7 @@ use std::os::unix::process::CommandExt;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use rangehound_node::gateway_note::{GatewayNote, GuestNote};
+use rangehound_node::gateway_note::{GatewayNote, RemoteRobotNote};
 use rangehound_node::rendezvous::{Rendezvous, Role};
 
 use crate::failure::Failure;
@@ -79,9 +79,9 @@ pub fn hand_over(words: impl IntoIterator<Item = OsString>) -> Result<(), Failur
 
 /// The link of a robot that takes part in a run from another host.
 #[must_use]
-pub fn guest(run: &Rendezvous, role: Role) -> Option<GuestNote> {
+pub fn remote_robot(run: &Rendezvous, role: Role) -> Option<RemoteRobotNote> {
     let robot = role.robot()?;
     let note = GatewayNote::read(run)?;
     let is_through_gateway = run.roster().holder(role).is_some_and(|pid| pid.as_raw_pid().cast_unsigned() == note.pid);
-    note.guests.into_iter().find(|guest| guest.robot == robot && is_through_gateway)
+    note.robots.into_iter().find(|remote| remote.robot == robot && is_through_gateway)
 }

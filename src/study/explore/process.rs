@@ -157,7 +157,7 @@ impl Cluster<'_> {
             self.forget_first_range();
             if node == self.plan.gateway() {
                 let now_ns = self.now_ns;
-                self.gateway.guests.values_mut().for_each(|guest| guest.witness.continued(now_ns));
+                self.gateway.remote_robots.values_mut().for_each(|remote| remote.witness.continued(now_ns));
             }
             self.run(node)?;
         }

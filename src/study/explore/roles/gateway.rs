@@ -94,9 +94,9 @@ impl Cluster<'_> {
             self.trace(Some(index), || format!("robot-{robot} is silent: its role is free"));
         }
         for robot in self.plan.robot_ids() {
-            let Some(guest) = self.gateway.guests.get_mut(&robot) else { continue };
-            let Some(frame) = guest.relay.next_frame(self.now_ns) else { continue };
-            let (connection, sent) = (guest.connection, guest.witness.sends(&frame, self.now_ns));
+            let Some(remote) = self.gateway.remote_robots.get_mut(&robot) else { continue };
+            let Some(frame) = remote.relay.next_frame(self.now_ns) else { continue };
+            let (connection, sent) = (remote.connection, remote.witness.sends(&frame, self.now_ns));
             sent.map_err(|what| self.violation(Some(index), format!("for robot-{robot} {what}")))?;
             if !self.gateway_lives() {
                 return Ok(Process::None);
@@ -109,7 +109,9 @@ impl Cluster<'_> {
 
     /// Publishes a robot's message, and notifies the node that waits for it. False if the gateway dies meanwhile.
     fn publish(&mut self, robot: usize, publication: Publication) -> Result<bool, Violation> {
-        let Some(incarnation) = self.gateway.guests.get(&robot).map(|guest| guest.incarnation) else { return Ok(true) };
+        let Some(incarnation) = self.gateway.remote_robots.get(&robot).map(|remote| remote.incarnation) else {
+            return Ok(true);
+        };
         if !self.gateway_lives() {
             return Ok(false);
         }
