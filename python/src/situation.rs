@@ -3,7 +3,7 @@
 use numpy::PyArrayDyn;
 use pyo3::prelude::*;
 use pyo3::types::PyTuple;
-use rangehound::study::compare::yardstick::{Distance, Yardstick};
+use rangehound::study::compare::certified_reference::{CertifiedReference, Distance};
 use rangehound_fusion::planner::{self as planners, Custom, Planner, PlannerError, hull_certificate};
 use rangehound_fusion::planner::{Situation as Seen, TeamMember};
 use rangehound_shared::message::Command;
@@ -139,7 +139,7 @@ impl Situation {
         let mut planner = Custom::new(robots, move |_, _, chosen| chosen.copy_from_slice(&commands)).map_err(input)?;
         let mut plan = planners::Plan::default();
         planner.plan(self.tick, &self.seen, &mut plan);
-        let Distance { gap, .. } = Yardstick::for_robots(robots).map_err(input)?.measure(&self.seen, &plan);
+        let Distance { gap, .. } = CertifiedReference::for_robots(robots).map_err(input)?.measure(&self.seen, &plan);
         Ok((plan.worth.objective, plan.worth.position_trace_m2, gap))
     }
 

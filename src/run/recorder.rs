@@ -19,7 +19,7 @@ use crate::files::out_folder;
 use crate::results::frame::{Frame, Frames, UNSETTLED_TICKS};
 use crate::results::made;
 use crate::results::ros_bag::folder::BagFolder;
-use crate::results::run_mcap::file::{Poorer, RunFile, unusable};
+use crate::results::run_mcap::file::{FewerTicks, RunFile, unusable};
 use crate::results::run_mcap::write::Written;
 use crate::run::folder;
 use crate::run::node;
@@ -329,8 +329,8 @@ impl<'a> Recorder<'a> {
             log::warn!("no recording {}: the run has written no logs", path.display());
         } else {
             let unwritable = file.unwritable();
-            file.finish().map_err(|error| match error.downcast::<Poorer>() {
-                Ok(poorer) => Failure::input(poorer),
+            file.finish().map_err(|error| match error.downcast::<FewerTicks>() {
+                Ok(fewer) => Failure::input(fewer),
                 Err(error) => unwritable(error),
             })?;
         }

@@ -158,7 +158,7 @@ fn manual_pages_replace_pages_and_nothing_else() {
 }
 
 #[test]
-fn a_recording_replaces_no_file_but_a_poorer_one_of_the_same_run() {
+fn a_recording_replaces_no_file_but_one_with_fewer_ticks_of_the_same_run() {
     let run = Run::new();
     start(&run, "run --in-process --ticks 300 --out out").succeeded();
     start(&run, "run --in-process --ticks 20 --seed 2 --out other").succeeded();

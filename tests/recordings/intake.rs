@@ -90,7 +90,7 @@ fn a_run_that_is_resumed_plays_its_own_copy_whatever_has_become_of_the_original(
     let undisturbed = Run::new();
     undisturbed.write("r.csv", &csv);
     undisturbed.start(&format!("track r.csv --in-process {flags}").split(' ').collect::<Vec<_>>()).finish().succeeded();
-    for fate in ["changed", "appended to", "deleted"] {
+    for change in ["changed", "appended to", "deleted"] {
         let run = Run::new();
         run.write("r.csv", &csv);
         let words = format!("track r.csv {flags} --name {}", run.name);
@@ -101,14 +101,14 @@ fn a_run_that_is_resumed_plays_its_own_copy_whatever_has_become_of_the_original(
         nodes.iter().for_each(|pid| signal(*pid, Signal::KILL));
         supervisor.finish();
         run.wait_until("all are gone", || !nodes.iter().any(|pid| is_alive(*pid)));
-        match fate {
+        match change {
             "changed" => run.write("r.csv", csv.replace(",10,", ",60,")),
             "appended to" => run.write("r.csv", format!("{csv}90000,B,10,8,7\n")),
             _ => std::fs::remove_file(run.path("r.csv")).unwrap(),
         }
         let resumed = run.start(&["resume", "out", "--name", &run.name, "--no-record"]).finish();
-        assert_eq!(resumed.code, Some(0), "{fate}: {resumed:#?}");
-        assert_eq!(run.digest(), undisturbed.digest(), "{fate}");
+        assert_eq!(resumed.code, Some(0), "{change}: {resumed:#?}");
+        assert_eq!(run.digest(), undisturbed.digest(), "{change}");
         run.assert_nothing_left();
     }
 }

@@ -10,7 +10,7 @@ use rangehound_node::gateway_note::{GatewayNote, RemoteRobotNote, RobotOrder};
 use rangehound_node::rendezvous::{Rendezvous, RendezvousError, Role, RoleLease};
 use rangehound_node::system::clock::monotonic_ns;
 use rangehound_robot::remote::wire::Uplink;
-use rangehound_robot::remote::{Claim, Occupant, Publication, Relay};
+use rangehound_robot::remote::{Claim, Publication, Relay, RoleHolder};
 use rangehound_shared::message::{Command, Drive, Outgoing, Range, WorldEntry};
 use rangehound_shared::protocol::wake::Notification;
 use rangehound_shared::protocol::{PROGRAM, PROTOCOL};
@@ -55,7 +55,7 @@ struct RemoteRobot {
     drives: Publisher<Drive>,
     relay: Relay,
     connection: Connection,
-    occupant: Occupant,
+    holder: RoleHolder,
     host: String,
     allows_control: bool,
     notices: Sender<Notice>,
@@ -161,7 +161,7 @@ impl<'a> RemoteRobots<'a> {
                 return Ok(());
             }
         };
-        remote.occupant.hear(now_ns);
+        remote.holder.hear(now_ns);
         news.into_iter().try_for_each(|message| self.publish(robot, message))
     }
 
@@ -234,7 +234,7 @@ impl<'a> RemoteRobots<'a> {
         let Applicant { request: Request { robot, process, .. }, connection, notices, .. } = applicant;
         let Some(remote) = self.all.get_mut(robot) else { return Ok(false) };
         let now_ns = monotonic_ns();
-        match remote.occupant.claim(*process, remote.round_trip_ns(), now_ns) {
+        match remote.holder.claim(*process, remote.round_trip_ns(), now_ns) {
             Claim::ComesBack => {
                 remote.connection.close(link::REPLACED, b"the robot has connected again");
                 (remote.connection, remote.notices) = (connection.clone(), notices.clone());
@@ -301,8 +301,8 @@ impl<'a> RemoteRobots<'a> {
             self.report_order(robot, false);
         }
         let (connection, notices) = (connection.clone(), notices.clone());
-        let occupant = Occupant::new(process, monotonic_ns());
-        let remote = RemoteRobot { lease, ranges, drives, relay, connection, occupant, host, allows_control, notices };
+        let holder = RoleHolder::new(process, monotonic_ns());
+        let remote = RemoteRobot { lease, ranges, drives, relay, connection, holder, host, allows_control, notices };
         self.all.insert(robot, remote);
         self.sim.signal(Event::Hello);
         Ok(())
@@ -335,9 +335,9 @@ impl<'a> RemoteRobots<'a> {
 
     /// Renews the roles of the robots that are heard, releases those of the others, and passes on orders of this host's tools.
     pub(super) fn look(&mut self, now_ns: u64) {
-        let is_heard = |remote: &&RemoteRobot| remote.occupant.is_heard(remote.round_trip_ns(), now_ns);
+        let is_heard = |remote: &&RemoteRobot| remote.holder.is_heard(remote.round_trip_ns(), now_ns);
         self.all.values().filter(is_heard).for_each(|remote| remote.lease.renew(now_ns));
-        let gone = self.all.iter().filter(|(_, remote)| remote.occupant.is_gone(now_ns)).map(|(robot, _)| *robot);
+        let gone = self.all.iter().filter(|(_, remote)| remote.holder.is_gone(now_ns)).map(|(robot, _)| *robot);
         for robot in gone.collect::<Vec<_>>() {
             self.release(robot, "is silent: its role is free");
         }
@@ -375,7 +375,7 @@ impl<'a> RemoteRobots<'a> {
                 round_trip_us: remote.relay.round_trip_ns().map(|ns| ns / 1_000),
                 lost: path.lost_packets as f64 / path.sent_packets.max(1) as f64,
                 repeated: repeated as f64 / sent.max(1) as f64,
-                silent_ms: remote.occupant.silence_ns(now_ns) / 1_000_000,
+                silent_ms: remote.holder.silence_ns(now_ns) / 1_000_000,
                 allows_control: remote.allows_control,
             }
         });
@@ -386,7 +386,7 @@ impl<'a> RemoteRobots<'a> {
 
     /// The process of each robot.
     pub(super) fn processes(&self) -> BTreeMap<usize, u64> {
-        self.all.iter().map(|(robot, remote)| (*robot, remote.occupant.process())).collect()
+        self.all.iter().map(|(robot, remote)| (*robot, remote.holder.process())).collect()
     }
 
     /// When the next frame is due, ns.

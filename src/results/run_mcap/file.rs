@@ -57,7 +57,7 @@ pub fn partial(path: &Path) -> PathBuf {
 /// A recording with more ticks of the run exists already.
 #[derive(Debug, thiserror::Error)]
 #[error("{} is kept: it holds {there} ticks of the run, and the logs have only {made} left", .path.display())]
-pub struct Poorer {
+pub struct FewerTicks {
     path: PathBuf,
     there: u64,
     made: u64,
@@ -118,7 +118,7 @@ impl RunFile {
     /// Writes index and summary, then gives the file its final name unless a recording with more ticks has that name.
     ///
     /// # Errors
-    /// [`Poorer`]; also if the system refuses, or the file does not hold all that was written to it.
+    /// [`FewerTicks`]; also if the system refuses, or the file does not hold all that was written to it.
     pub fn finish(self) -> anyhow::Result<()> {
         let Self { path, partial, run_id, leftover, taken, writer } = self;
         let file = writer.finish().map_err(|error| named(&partial, of(error)))?;
@@ -137,7 +137,7 @@ impl RunFile {
             Found::Same(there) if there > taken => {
                 let _ = std::fs::remove_file(&partial);
                 give_back(leftover.as_deref(), &partial);
-                return Err(Poorer { path, there, made: taken }.into());
+                return Err(FewerTicks { path, there, made: taken }.into());
             }
             Found::Same(_) => |from: &Path, to: &Path| std::fs::rename(from, to),
             Found::Nothing | Found::Foreign => atomic_file::rename_to_free,

@@ -2,12 +2,12 @@
 
 use std::collections::BTreeMap;
 
-use rangehound_robot::remote::{Claim, Occupant, Publication, Relay};
+use rangehound_robot::remote::{Claim, Publication, Relay, RoleHolder};
 use rangehound_shared::scenario::Scenario;
 
+use super::checker::link::LinkChecker;
 use super::message::Message;
 use super::node::{Node, Process};
-use super::witness::link::LinkWitness;
 
 /// There is only one run here.
 pub(super) const RUN_ID: u64 = 1;
@@ -34,9 +34,9 @@ pub(super) struct RemoteRobot {
     pub(super) incarnation: u64,
     pub(super) connection: u64,
     /// Its process, by the life of its node.
-    occupant: Occupant,
+    holder: RoleHolder,
     joined_ns: u64,
-    pub(super) witness: LinkWitness,
+    pub(super) checker: LinkChecker,
 }
 
 /// The process that asks for a robot's role.
@@ -77,7 +77,7 @@ impl Gateway {
         now_ns: u64,
     ) -> Option<Joined> {
         if let Some(remote) = self.remote_robots.get_mut(&robot) {
-            match remote.occupant.claim(process.into(), remote.relay.round_trip_ns().unwrap_or(0), now_ns) {
+            match remote.holder.claim(process.into(), remote.relay.round_trip_ns().unwrap_or(0), now_ns) {
                 Claim::ComesBack => {
                     self.connections += 1;
                     (remote.connection, remote.joined_ns) = (self.connections, now_ns);
@@ -95,9 +95,9 @@ impl Gateway {
             relay: Relay::new(RUN_ID, robot, scenario, fusion_incarnation),
             incarnation: *taken,
             connection: self.connections,
-            occupant: Occupant::new(process.into(), now_ns),
+            holder: RoleHolder::new(process.into(), now_ns),
             joined_ns: now_ns,
-            witness: LinkWitness::new(scenario, fusion_incarnation, now_ns),
+            checker: LinkChecker::new(scenario, fusion_incarnation, now_ns),
         };
         self.remote_robots.insert(robot, remote);
         Some(Joined { connection: self.connections, is_new: true })
@@ -115,23 +115,23 @@ impl Gateway {
             Message::World(header, entries) => {
                 for (robot, remote) in &mut self.remote_robots {
                     let Some(entry) = entries.get(*robot) else { continue };
-                    remote.witness.world(header, entry);
+                    remote.checker.world(header, entry);
                     let again = remote.relay.on_world(header, entry);
                     publications.extend(again.into_iter().map(|message| (*robot, message)));
                 }
             }
             Message::Heading(header, commands) if commands.len() == robots => {
                 for (robot, remote) in &mut self.remote_robots {
-                    remote.witness.heading(header);
+                    remote.checker.heading(header);
                     remote.relay.on_heading(header, commands[*robot], now_ns);
                 }
             }
             Message::Uplink { robot, connection, frame } => {
                 let remote = self.remote_robots.get_mut(robot).filter(|remote| remote.connection == *connection);
                 if let Some(remote) = remote {
-                    remote.occupant.hear(now_ns);
+                    remote.holder.hear(now_ns);
                     let news = remote.relay.on_uplink(frame, now_ns).map_err(|error| (*robot, error.to_string()))?;
-                    remote.witness.news(&news).map_err(|what| (*robot, what))?;
+                    remote.checker.news(&news).map_err(|what| (*robot, what))?;
                     publications.extend(news.into_iter().map(|message| (*robot, message)));
                 }
             }
@@ -139,7 +139,7 @@ impl Gateway {
         }
         for (robot, publication) in &publications {
             if let Some(remote) = self.remote_robots.get(robot) {
-                remote.witness.publishes(publication).map_err(|what| (*robot, what))?;
+                remote.checker.publishes(publication).map_err(|what| (*robot, what))?;
             }
         }
         Ok(publications)
@@ -147,7 +147,7 @@ impl Gateway {
 
     /// Forgets the robots that have been silent for long, and returns them.
     pub(super) fn release_silent(&mut self, now_ns: u64) -> Vec<usize> {
-        let is_gone = |remote: &RemoteRobot| remote.occupant.is_gone(now_ns);
+        let is_gone = |remote: &RemoteRobot| remote.holder.is_gone(now_ns);
         let gone = self.remote_robots.iter().filter(|(_, remote)| is_gone(remote)).map(|(robot, _)| *robot).collect();
         self.remote_robots.retain(|_, remote| !is_gone(remote));
         gone

@@ -96,7 +96,7 @@ impl Cluster<'_> {
         for robot in self.plan.robot_ids() {
             let Some(remote) = self.gateway.remote_robots.get_mut(&robot) else { continue };
             let Some(frame) = remote.relay.next_frame(self.now_ns) else { continue };
-            let (connection, sent) = (remote.connection, remote.witness.sends(&frame, self.now_ns));
+            let (connection, sent) = (remote.connection, remote.checker.sends(&frame, self.now_ns));
             sent.map_err(|what| self.violation(Some(index), format!("for robot-{robot} {what}")))?;
             if !self.gateway_lives() {
                 return Ok(Process::None);
@@ -119,7 +119,7 @@ impl Cluster<'_> {
         let notification = match publication {
             Publication::Range(Outgoing { tick, valid_at_s, entry }, notification) => {
                 self.trace(Some(index), || format!("range({tick}) of robot-{robot}"));
-                self.witness.links.publishes(robot, tick);
+                self.checker.links.publishes(robot, tick);
                 let header = Header { run_id: RUN_ID, incarnation, tick, valid_at_s, sent_ns: self.now_ns };
                 for fusion in self.plan.fusion_nodes() {
                     self.send(index, fusion, || Message::Range(header, entry));
@@ -127,7 +127,7 @@ impl Cluster<'_> {
                 Some(notification)
             }
             Publication::Drive(Outgoing { tick, entry, .. }, notification) => {
-                let drove = self.witness.links.drove(robot, tick, &entry);
+                let drove = self.checker.links.drove(robot, tick, &entry);
                 drove.map_err(|what| self.violation(Some(index), what))?;
                 self.send(index, SIM, || Message::Drive(tick, entry));
                 notification

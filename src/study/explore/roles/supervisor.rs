@@ -57,7 +57,7 @@ impl Cluster<'_> {
             let leads = lead.last == Some((node, nodes[node].life));
             Seen { leads, heartbeat: if leads { lead.heartbeat() } else { nodes[node].heartbeat_ns } }
         });
-        let looked = supervisor.witness.looks(nodes, lead, self.now_ns);
+        let looked = supervisor.checker.looks(nodes, lead, self.now_ns);
         looked.map_err(|(node, what)| self.violation(Some(node), what))?;
         self.supervise()
     }
@@ -68,14 +68,14 @@ impl Cluster<'_> {
             return Ok(());
         }
         for (node, end) in std::mem::take(&mut self.supervisor.ends) {
-            self.supervisor.witness.ends(node, end, self.now_ns);
+            self.supervisor.checker.ends(node, end, self.now_ns);
             self.supervisor.machine.on_end(node, end, false, self.now_ns);
         }
         while let Some(action) = self.supervisor.machine.next_action(self.now_ns) {
             match action {
                 Action::Start(node) => self.start_again(node)?,
                 Action::Kill { node, .. } => {
-                    let killed = self.supervisor.witness.kills(&self.nodes, &self.lead, node, self.now_ns);
+                    let killed = self.supervisor.checker.kills(&self.nodes, &self.lead, node, self.now_ns);
                     killed.map_err(|what| self.violation(Some(node), what))?;
                     if !matches!(self.nodes[node].process, Process::None) {
                         self.trace(Some(node), || "hangs".to_owned());
@@ -85,12 +85,12 @@ impl Cluster<'_> {
                 Action::ReportRestart(_) => {}
                 Action::ReportLoss(node) => {
                     self.trace(Some(node), || "is not started again".to_owned());
-                    let lost = self.supervisor.witness.loses(node);
+                    let lost = self.supervisor.checker.loses(node);
                     lost.map_err(|what| self.violation(Some(node), what))?;
                 }
                 Action::EndRun { node, .. } => {
                     self.trace(Some(node), || "is given up: the run ends".to_owned());
-                    let given_up = self.supervisor.witness.gives_up(&self.nodes, node);
+                    let given_up = self.supervisor.checker.gives_up(&self.nodes, node);
                     given_up.map_err(|what| self.violation(Some(node), what))?;
                     self.supervisor.has_given_up = true;
                     return Ok(());
@@ -108,13 +108,13 @@ impl Cluster<'_> {
             self.counts.faults += 1;
             self.supervisor.refusals = fewer;
             self.trace(Some(node), || "the system refuses to start it".to_owned());
-            self.supervisor.witness.refused(node, self.now_ns);
+            self.supervisor.checker.refused(node, self.now_ns);
             if !self.supervisor.machine.on_refusal(node, self.now_ns) {
                 return Err(self.violation(Some(node), "it was given up, though the system had room again".to_owned()));
             }
             return Ok(());
         }
-        let started = self.supervisor.witness.starts(&self.nodes, node, self.now_ns);
+        let started = self.supervisor.checker.starts(&self.nodes, node, self.now_ns);
         started.map_err(|what| self.violation(Some(node), what))?;
         self.supervisor.machine.on_start(node, self.now_ns);
         let soon_ns = self.random.random_range(0..START_NS);

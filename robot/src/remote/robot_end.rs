@@ -18,7 +18,7 @@ struct Kept {
 /// Composes the robot's frames: it answers each frame of the gateway, and in real time repeats measurements of past ticks until
 /// the gateway has them.
 #[derive(Debug)]
-pub struct Courier {
+pub struct RobotEnd {
     run_id: u64,
     clock: Clock,
     /// The newest frame's stamp, and when it came, ns.
@@ -35,7 +35,7 @@ pub struct Courier {
     headed: Option<(u64, u64)>,
 }
 
-impl Courier {
+impl RobotEnd {
     /// The robot's end of the link to a run.
     #[must_use]
     pub fn new(run_id: u64, clock: Clock) -> Self {
