@@ -39,13 +39,13 @@ use crate::situation;
 const IDLE: Duration = Duration::from_millis(100);
 
 /// A run without simulator, fusion and supervisor for this long has ended, whatever its state.
-const DESERTED: Duration = Duration::from_secs(3);
+const NO_PROCESS_MAX: Duration = Duration::from_secs(3);
 
 /// How long a node may take to end after it has been asked to.
 const END_WAIT: Duration = Duration::from_secs(2);
 
 /// How often a node's process acts on signals.
-const LOOK: Duration = Duration::from_millis(20);
+const POLL_INTERVAL: Duration = Duration::from_millis(20);
 
 /// Iterates over the ticks of a live run.
 #[pyclass(module = "rangehound._native")]
@@ -84,7 +84,7 @@ impl Observer {
                 return Err(input(format!("no run {name} after {timeout_s} s: expected a run that has been started")));
             }
             py.check_signals()?;
-            py.detach(|| std::thread::sleep(LOOK));
+            py.detach(|| std::thread::sleep(POLL_INTERVAL));
         };
         let next = from_start.then_some(0);
         Ok(Self { run, frames: None, changes: None, next, waits_for_truth, is_quiet: true, inhabited: Instant::now() })
@@ -137,7 +137,7 @@ impl Observer {
             // Fusion writes its last tick after the simulator has ended the run.
             return self.run.is_finished() && !roster.is_held(Role::Fusion);
         }
-        self.run.is_finished() || self.inhabited.elapsed() >= DESERTED
+        self.run.is_finished() || self.inhabited.elapsed() >= NO_PROCESS_MAX
     }
 
     fn __iter__(this: PyRef<'_, Self>) -> PyRef<'_, Self> {
@@ -226,7 +226,7 @@ impl Observer {
             // What was written before is read first.
             return;
         }
-        let Some(changes) = &self.changes else { return std::thread::sleep(LOOK) };
+        let Some(changes) = &self.changes else { return std::thread::sleep(POLL_INTERVAL) };
         let timeout = Timespec { tv_sec: 0, tv_nsec: IDLE.as_nanos() as i64 };
         self.is_quiet = poll(&mut [PollFd::new(changes, PollFlags::IN)], Some(&timeout)).is_ok_and(|ready| ready == 0);
         if !self.is_quiet {
@@ -289,7 +289,7 @@ fn run_node(
     let worker = worker.map_err(|error| failed(anyhow::Error::from(error)))?;
     let (mut ended, mut asked) = (Ok(()), None);
     while !worker.is_finished() {
-        py.detach(|| std::thread::sleep(LOOK));
+        py.detach(|| std::thread::sleep(POLL_INTERVAL));
         if let Err(error) = py.check_signals() {
             ended = Err(error);
         }

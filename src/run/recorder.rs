@@ -23,7 +23,7 @@ use crate::results::run_mcap::file::{FewerTicks, RunFile, unusable};
 use crate::results::run_mcap::write::Written;
 use crate::run::folder;
 use crate::run::node;
-use crate::run::watch::{self, LOOK, Progress};
+use crate::run::watch::{self, POLL_INTERVAL, Progress};
 
 /// After a request to end, ticks that are in the logs are recorded for this long.
 const CATCH_UP: Duration = Duration::from_secs(5);
@@ -136,7 +136,7 @@ fn follow(
         if recorder.is_full {
             return recorder.finish();
         }
-        sleep(LOOK);
+        sleep(POLL_INTERVAL);
     }
     if !watch::wait_for_last_estimate(rendezvous) && !rendezvous.is_finished() {
         recorder.advance_to_settled()?;

@@ -28,8 +28,8 @@ const SENSOR_CHARS_MAX: usize = 16;
 /// A robot on another host that is silent for longer has no working link, ms.
 const SILENT_MS: u64 = 500;
 
-/// Time between two looks of `--watch`.
-const LOOK: Duration = Duration::from_secs(1);
+/// Interval at which `--watch` shows the state.
+const REFRESH_INTERVAL: Duration = Duration::from_secs(1);
 
 /// Time between two checks for Ctrl-C.
 const POLL: Duration = Duration::from_millis(50);
@@ -59,7 +59,7 @@ pub fn status(name: Option<&RunName>, shows_all: bool, again: bool, json: bool) 
         }
         is_first = false;
         let began = Instant::now();
-        while began.elapsed() < LOOK && !termination.requested() {
+        while began.elapsed() < REFRESH_INTERVAL && !termination.requested() {
             std::thread::sleep(POLL);
         }
         if termination.requested() {

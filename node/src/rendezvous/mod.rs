@@ -55,7 +55,7 @@ const JOIN_POLL: Duration = Duration::from_millis(20);
 
 /// How long a creator retries before it calls a name taken: a killed process keeps its locks until the kernel has
 /// removed it.
-const DYING: Duration = Duration::from_millis(500);
+const LOCK_RELEASE_MAX: Duration = Duration::from_millis(500);
 
 /// Longest note, bytes: that of a gateway with the largest team.
 const NOTE_LEN_MAX: usize = 1 << 17;
@@ -113,7 +113,7 @@ impl Rendezvous {
     /// # Errors
     /// As [`Self::create`].
     pub fn create_closed(name: &RunName, description: RunDescription) -> Result<Created, RendezvousError> {
-        Self::create_within(DYING, name, description)
+        Self::create_within(LOCK_RELEASE_MAX, name, description)
     }
 
     /// As [`Self::create_closed`], but fails at once if the name is taken: for a caller that can use another name.

@@ -25,7 +25,7 @@ use crate::results::frame::Frame;
 const SCENARIO_LEN_MAX: usize = 4 << 20;
 
 /// How long to wait for the lock of a killed process, and the interval between attempts.
-const DYING: Duration = Duration::from_millis(500);
+const LOCK_RELEASE_MAX: Duration = Duration::from_millis(500);
 const POLL: Duration = Duration::from_millis(20);
 
 /// The unfinished file.
@@ -190,7 +190,7 @@ fn lock(partial: &Path, run_id: u64) -> anyhow::Result<(File, Option<PathBuf>)> 
             Err(error) => return Err(error).with_context(named),
         };
         match file.try_lock() {
-            Err(TryLockError::WouldBlock) if began.elapsed() < DYING => {
+            Err(TryLockError::WouldBlock) if began.elapsed() < LOCK_RELEASE_MAX => {
                 std::thread::sleep(POLL);
                 continue;
             }

@@ -119,7 +119,7 @@ impl<S: PartialEq> Machine<S> {
         node.death = Some(Death { end, lived, is_taken });
     }
 
-    /// Looks at every running process, once every [`silence::LOOK`]. A process that has been silent for too long is
+    /// Looks at every running process, once every [`silence::POLL_INTERVAL`]. A process that has been silent for too long is
     /// killed, and then started again. A node that would not be started again is not killed: it may recover by itself.
     pub(crate) fn look(&mut self, scenario: &Scenario, mut see: impl FnMut(usize) -> Seen<S>) {
         let count = self.nodes.len();

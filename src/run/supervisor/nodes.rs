@@ -122,12 +122,12 @@ impl<'a> Nodes<'a> {
                 ));
             }
             self.lease.renew(monotonic_ns());
-            self.wait_for_a_death(watch::LOOK.saturating_sub(looked.elapsed()));
-            if looked.elapsed() >= watch::LOOK {
+            self.wait_for_a_death(watch::POLL_INTERVAL.saturating_sub(looked.elapsed()));
+            if looked.elapsed() >= watch::POLL_INTERVAL {
                 look();
                 looked = Instant::now();
             }
-            if listened.elapsed() >= silence::LOOK {
+            if listened.elapsed() >= silence::POLL_INTERVAL {
                 if let Some(removed) = self.inspect() {
                     return Ok(Ended::Removed(removed));
                 }

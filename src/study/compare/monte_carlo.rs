@@ -22,7 +22,7 @@ use crate::run::in_process::{Parts, Team};
 use crate::statistics;
 
 /// How often progress is shown.
-const LOOK: Duration = Duration::from_millis(50);
+const PROGRESS_INTERVAL: Duration = Duration::from_millis(50);
 
 /// Most ticks of all runs together: their samples take two gigabytes.
 const TICKS_MAX: u64 = 30_000_000;
@@ -247,7 +247,7 @@ impl Trials {
                 .with_context(|| format!("cannot start {} threads: choose fewer with --threads", self.threads))?;
             while workers.iter().any(|worker| !worker.is_finished()) {
                 on_progress(done.load(Ordering::Relaxed)).inspect_err(|_| next.store(NONE_LEFT, Ordering::Relaxed))?;
-                std::thread::sleep(LOOK);
+                std::thread::sleep(PROGRESS_INTERVAL);
             }
             let mut indexed = Vec::with_capacity(self.count() as usize);
             for worker in workers {

@@ -1,7 +1,7 @@
 //! Fusion before it leads, in simulated time: it stands by, takes the lead, and reads its predecessor's checkpoint.
 
 use rangehound_fusion::leader::{Leader, Saved};
-use rangehound_fusion::standby::{LOOK, Standby};
+use rangehound_fusion::standby::{POLL_INTERVAL, Standby};
 use rangehound_node::rendezvous::tenure::needs_own_checkpoint;
 use rangehound_shared::protocol::wake::{Event, WaitGroup};
 use rangehound_shared::sealed::slots::Turns;
@@ -23,7 +23,7 @@ impl Cluster<'_> {
 
     pub(in crate::study::explore) fn stand_by(&mut self) -> Process {
         let standby = Standby::new(self.scenario, self.lead.heartbeat(), Some(self.lead.lock));
-        let (waits_for, looks_at_ns) = (self.lead.lock, self.now_ns + LOOK.as_nanos() as u64);
+        let (waits_for, looks_at_ns) = (self.lead.lock, self.now_ns + POLL_INTERVAL.as_nanos() as u64);
         Process::Standby(Box::new(StandingBy { standby, waits_for, since_ns: self.now_ns, looks_at_ns, deposes: None }))
     }
 
@@ -45,7 +45,7 @@ impl Cluster<'_> {
             return Ok(self.take_lead(node, None));
         }
         if *looks_at_ns <= self.now_ns {
-            *looks_at_ns = self.now_ns + LOOK.as_nanos() as u64;
+            *looks_at_ns = self.now_ns + POLL_INTERVAL.as_nanos() as u64;
             *deposes = standby.look(self.lead.heartbeat());
             if deposes.is_some() {
                 match self.before_action(node)? {

@@ -16,7 +16,7 @@ use crate::study::explore::node::{Node, Process};
 use crate::study::explore::plan::SIM;
 
 /// Longest sleep of a gateway, ns: then it reads everything.
-const LOOK_NS: u64 = 50_000_000;
+const LONGEST_SLEEP_NS: u64 = 50_000_000;
 
 /// Time after the last disturbance within which ticks are gathered as if there had been none, ns.
 const SETTLED_NS: u64 = 1_000_000_000;
@@ -103,7 +103,7 @@ impl Cluster<'_> {
             }
             self.send_down(robot, connection, frame);
         }
-        self.sleep(index, self.gateway.frame_due_ns().saturating_sub(self.now_ns).clamp(1, LOOK_NS));
+        self.sleep(index, self.gateway.frame_due_ns().saturating_sub(self.now_ns).clamp(1, LONGEST_SLEEP_NS));
         Ok(Process::Gateway)
     }
 

@@ -15,7 +15,7 @@ use crate::study::explore::node::{FaultEffect, Process, Robot};
 const BETWEEN_NS: u64 = 100_000_000;
 
 /// Longest sleep, ns.
-const LOOK_NS: u64 = 50_000_000;
+const LONGEST_SLEEP_NS: u64 = 50_000_000;
 
 /// Without a fault, a robot has a link after this time at the latest, ns: it notices that the gateway is silent, and the gateway
 /// that its predecessor is.
@@ -190,7 +190,7 @@ impl Cluster<'_> {
 
     /// When it must act even if no frame comes, by its own clock, ns.
     fn wakes_at_ns(&self, node: usize, robot: &Robot) -> u64 {
-        let look_ns = self.local_ns(node) + LOOK_NS;
+        let look_ns = self.local_ns(node) + LONGEST_SLEEP_NS;
         let Some(end) = &robot.remote else { return look_ns };
         let of_link = if end.session.is_some() { end.robot_end.wakes_at_ns() } else { Some(end.attempt_ns) };
         let of_machine = robot.machine.wakes_at_ns().filter(|_| end.of.is_some());

@@ -9,7 +9,7 @@ use crate::study::explore::cluster::{Cluster, SimEvent, Violation};
 use crate::study::explore::node::Process;
 
 /// Interval between two looks at the heartbeats, ns.
-const LOOK_NS: u64 = silence::LOOK.as_nanos() as u64;
+const POLL_INTERVAL_NS: u64 = silence::POLL_INTERVAL.as_nanos() as u64;
 
 /// Longest time that the start of a process takes, ns.
 const START_NS: u64 = 5_000_000;
@@ -23,7 +23,7 @@ impl Cluster<'_> {
             self.spawn(node, soon_ns);
         }
         self.supervisor.looked_ns = self.now_ns;
-        self.after(LOOK_NS, SimEvent::SupervisorLooks);
+        self.after(POLL_INTERVAL_NS, SimEvent::SupervisorLooks);
     }
 
     pub(in crate::study::explore) fn stop_supervisor(&mut self, for_ns: u64) {
@@ -35,14 +35,18 @@ impl Cluster<'_> {
     pub(in crate::study::explore) fn continue_supervisor(&mut self) -> Result<(), Violation> {
         self.trace(None, || "the supervisor continues".to_owned());
         self.supervisor.is_stopped = false;
-        if self.now_ns < self.supervisor.looked_ns + LOOK_NS { self.supervise() } else { self.check_heartbeats() }
+        if self.now_ns < self.supervisor.looked_ns + POLL_INTERVAL_NS {
+            self.supervise()
+        } else {
+            self.check_heartbeats()
+        }
     }
 
     /// Its timer for the next look: a supervisor that was stopped may have looked since it was set.
     pub(in crate::study::explore) fn look_when_due(&mut self) -> Result<(), Violation> {
-        let due_ns = self.supervisor.looked_ns + LOOK_NS;
+        let due_ns = self.supervisor.looked_ns + POLL_INTERVAL_NS;
         let is_due = due_ns <= self.now_ns;
-        self.after(if is_due { LOOK_NS } else { due_ns - self.now_ns }, SimEvent::SupervisorLooks);
+        self.after(if is_due { POLL_INTERVAL_NS } else { due_ns - self.now_ns }, SimEvent::SupervisorLooks);
         if is_due { self.check_heartbeats() } else { Ok(()) }
     }
 
