@@ -76,7 +76,7 @@ impl RobotOrder {
         run.write_note(&outcome_of(robot), if has_arrived { ARRIVED } else { "lost" })
     }
 
-    /// Whether the robot has confirmed its order, which is told once; `None` until it is decided.
+    /// True if the robot has confirmed its order; `None` until this is decided. The answer is reported once.
     #[must_use]
     pub fn has_arrived(run: &Rendezvous, robot: usize) -> Option<bool> {
         run.take_note(&outcome_of(robot)).map(|outcome| outcome == ARRIVED)

@@ -52,8 +52,8 @@ def main():
     while count < (count := sum(map(len, heard.values()))):
         for _ in range(200):
             executor.spin_once(timeout_sec=0.005)
-    said = {topic: [plain(message) for message in messages] for topic, messages in heard.items()}
-    print(json.dumps({**said, "now_s": node.get_clock().now().nanoseconds * 1e-9}), flush=True)
+    messages_by_topic = {topic: [plain(message) for message in messages] for topic, messages in heard.items()}
+    print(json.dumps({**messages_by_topic, "now_s": node.get_clock().now().nanoseconds * 1e-9}), flush=True)
 
 
 main()

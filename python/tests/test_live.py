@@ -167,9 +167,9 @@ def test_a_robot_that_was_refused_can_be_run_again_in_the_same_process(by_hand, 
     )
     *_, other, robot = by_hand(["sim"], *robots(0, 1), scripts=["rh.fusion(name)", script], ticks=50, clock="lockstep", timeout_s="forever")
     out, err = robot.communicate()
-    said = out.splitlines()
-    assert [line for line in said if "expected 0 to 2" in line] == said[:1], (out, err)
-    assert "robot-1" in said[1] and "has been a node before" in said[2] and len(said) == 3, said
+    lines = out.splitlines()
+    assert [line for line in lines if "expected 0 to 2" in line] == lines[:1], (out, err)
+    assert "robot-1" in lines[1] and "has been a node before" in lines[2] and len(lines) == 3, lines
 
 
 def test_a_killed_python_robot_is_replaced_and_changes_no_bit(by_hand, name, tmp_path):

@@ -220,8 +220,8 @@ def test_nothing_drives_before_the_vehicle_is_armed_and_in_its_mode(one_vehicle)
     _, err = process.communicate()
     assert process.returncode == 0, err
     until(lambda: autopilot.setpoints[-1][1] == 0)
-    said = [line for line in err.splitlines() if line.startswith("mavlink: ")]
-    assert any("is not armed" in line for line in said) and any("nothing drives until it is in GUIDED" in line for line in said)
+    lines = [line for line in err.splitlines() if line.startswith("mavlink: ")]
+    assert any("is not armed" in line for line in lines) and any("nothing drives until it is in GUIDED" in line for line in lines)
     assert {32, 132} <= autopilot.asked
 
 
@@ -241,9 +241,9 @@ def test_a_vehicle_over_tcp_is_found_again_after_its_end_was_closed(one_vehicle,
     autopilot, process, _, _ = one_vehicle(over="tcp")
     until(lambda: autopilot.speed_mps > 0)
     autopilot.stop()
-    said = ""
-    while "link to vehicle 1 is lost" not in said:
-        said = process.stderr.readline()
+    line = ""
+    while "link to vehicle 1 is lost" not in line:
+        line = process.stderr.readline()
     # Without an end that answers it waits; it does not spin.
     used = lambda: sum(map(int, open(f"/proc/{process.pid}/stat").read().rpartition(")")[2].split()[11:13]))  # noqa: E731
     before = used()
@@ -291,9 +291,9 @@ def test_a_robot_whose_link_is_lost_stops_and_comes_back(one_vehicle):
     until(lambda: autopilot.speed_mps > 0)
     autopilot.cut = True
     until(lambda: autopilot.timeouts == 1)
-    said = ""
-    while "link to vehicle 1 is lost" not in said:
-        said = process.stderr.readline()
+    line = ""
+    while "link to vehicle 1 is lost" not in line:
+        line = process.stderr.readline()
     autopilot.cut = False
     until(lambda: autopilot.speed_mps > 0)
 

@@ -255,10 +255,10 @@ def test_simulated_robots_have_all_topics_and_the_run_ends_the_node(program, nam
         assert ears.stdout.readline() == "first\n"
         time.sleep(3)
         run.stop()
-        said = ended(watched)
+        output = ended(watched)
     got = heard(ears)
     if importlib.util.find_spec("tf2_msgs") is None:
-        assert said.count("tf2_msgs is not installed: /tf is not published") == 1, said
+        assert output.count("tf2_msgs is not installed: /tf is not published") == 1, output
     live = rh.load(tmp_path / "out")
     newest = int(round((seconds(got["/team/target/pose"][-1]) - 1.0) / 0.1))
     assert newest == len(live) - 1 and got["/team/target/pose"][0]["header"]["frame_id"] == "world"
@@ -302,11 +302,11 @@ def test_in_real_time_a_robot_without_odometry_stops_and_bad_ranges_are_refused(
     with rh.run(name=name, out=tmp_path / "out", program=program, ticks=80, clock="realtime", external=[2]) as run:
         bridge = node(ros, name, "--robots", "2")
         report = run.report()
-    said = ended(bridge)
+    output = ended(bridge)
     twists = json.loads(robot.communicate(timeout=60)[0])
     assert report["ticks"] == 80
     for cause in ("NaN", "negative", "nothing was detected", "max_range 100 m"):
-        assert said.count(cause) == 1, said
+        assert output.count(cause) == 1, output
     live = rh.load(tmp_path / "out")
     assert np.isnan(live.range_m[:, 2]).all() and np.nanmax(np.abs(live.believed_m[5:-3, 2] - [15.0, 0.0])) == 0.0
     assert any(twist != [0.0, 0.0] for twist in twists) and twists[-1] == [0.0, 0.0]
@@ -362,13 +362,13 @@ def test_the_quality_of_service_of_one_topic_is_overridden_and_no_other(ros):
 def test_wrong_words_are_refused_with_the_cause(program, name, ros, tmp_path, words, cause):
     with rh.run(name=name, out=tmp_path / "out", program=program, ticks=10_000):
         bridge = node(ros, name, *words)
-        said = ended(bridge, code=2)
-    assert cause in said and "Traceback" not in said, said
+        output = ended(bridge, code=2)
+    assert cause in output and "Traceback" not in output, output
 
 
 def test_a_run_that_is_not_there_is_one_line_and_signals_end_the_node(program, name, ros, tmp_path):
-    said = ended(node(ros, name, "--wait-s", "0.2"), code=2)
-    assert f"no run {name} after 0.2 s" in said
+    output = ended(node(ros, name, "--wait-s", "0.2"), code=2)
+    assert f"no run {name} after 0.2 s" in output
     with rh.run(name=name, out=tmp_path / "out", program=program, ticks=10_000) as run:
         for number in (signal.SIGINT, signal.SIGTERM):
             ears = listener(ros, target__pose=POSE)

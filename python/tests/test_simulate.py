@@ -118,7 +118,7 @@ def test_a_target_that_is_a_function_moves_so():
 
 
 @pytest.mark.parametrize(
-    ("planner", "said"),
+    ("planner", "message"),
     [
         (lambda s: [0.0], "has 1 headings: expected 3 finite headings"),
         (lambda s: [0.0, np.nan, 0.0], "has NaN rad, 10 m/s for robot 1: expected"),
@@ -126,8 +126,8 @@ def test_a_target_that_is_a_function_moves_so():
         (lambda s: None, "is not an array of numbers|has 1 headings"),
     ],
 )
-def test_an_answer_that_is_no_headings_is_refused(planner, said):
-    with pytest.raises(rh.InputError, match=said):
+def test_an_answer_that_is_no_headings_is_refused(planner, message):
+    with pytest.raises(rh.InputError, match=message):
         rh.simulate(ticks=5, planner=planner)
 
 

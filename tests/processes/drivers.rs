@@ -65,8 +65,8 @@ fn a_robot_on_a_port_takes_part_in_a_run() {
     for node in [sim, fusion, watch] {
         node.finish().succeeded();
     }
-    let told = |what: &str| outcome.stderr.lines().filter(|line| line.contains(what)).count();
-    assert_eq!((told("expected lines like"), told("port: the stream has ended")), (1, 1), "{outcome:#?}");
+    let lines_with = |what: &str| outcome.stderr.lines().filter(|line| line.contains(what)).count();
+    assert_eq!((lines_with("expected lines like"), lines_with("port: the stream has ended")), (1, 1), "{outcome:#?}");
     assert_eq!(outcome.stdout.lines().next_back(), Some(STOP));
     for line in outcome.stdout.lines() {
         let (heading_rad, speed_mps) = line.split_once(',').unwrap();

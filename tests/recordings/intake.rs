@@ -77,9 +77,9 @@ fn a_changed_copy_is_refused_in_one_line() {
         format!("rm -f out/*.checkpoint out/*.ticks; \"$0\" resume out --name {name} --no-record --restart never");
     let output = shell(&run, &words);
     assert!(!output.status.success(), "{output:?}");
-    let said = String::from_utf8_lossy(&output.stderr).into_owned()
+    let output_text = String::from_utf8_lossy(&output.stderr).into_owned()
         + &std::fs::read_to_string(run.path("out/logs/sim.log")).unwrap_or_default();
-    assert!(said.contains("recording.csv has changed since the run began"), "{said}");
+    assert!(output_text.contains("recording.csv has changed since the run began"), "{output_text}");
 }
 
 /// The original may change, grow or disappear.

@@ -83,7 +83,7 @@ fn only_robots_whose_host_allows_it_are_ended_from_the_runs_host() {
     std::fs::write(run.path("over"), "").unwrap();
     run.finish_ok(&format!("stop --name {name}"));
     drop(supervisor);
-    // It is told that the run was stopped.
+    // It receives the notice that the run was stopped.
     refuses.succeeds();
     run.assert_nothing_left();
 }

@@ -169,7 +169,7 @@ class Vehicle:
         return x_m + east_m, y_m + north_m, frames.heading_of_yaw(self._yaw_rad), self.std_m or self.settings.pose_std_m
 
     def motion(self, now_s: float) -> tuple[float, float]:
-        """Heading, rad, and speed, m/s, with which it moves, as it says; it stands if it has not said so lately."""
+        """Heading, rad, and speed, m/s, of its motion, as it reports; zero if it has not reported them lately."""
         is_fresh = now_s - self._moved_s <= self.settings.silence_s
         return frames.motion_of_ned(*self._velocity_ned) if is_fresh else (0.0, 0.0)
 

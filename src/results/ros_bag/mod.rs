@@ -2,7 +2,7 @@
 //!
 //! | module | what |
 //! |---|---|
-//! | [`planar`] | from a run's data to what ROS is told: poses, velocities, twists, stamps |
+//! | [`planar`] | from a run's data to numbers for ROS: poses, velocities, twists, stamps |
 //! | [`markers`] | what RViz draws of a tick |
 //! | [`diagnostics`] | what ROS's diagnostics say of a tick |
 //! | [`messages`] | from that to the bytes of messages |

@@ -77,7 +77,7 @@ impl Hosts {
     }
 }
 
-/// The program of the gateway, and what it is told.
+/// The program of the gateway, and its arguments.
 #[derive(Debug, Clone)]
 struct Gateway {
     program: PathBuf,
