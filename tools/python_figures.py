@@ -45,9 +45,9 @@ def folder():
         yield pathlib.Path(path)
 
 
-def script(text, *words, **more):
+def script(text, *args, **more):
     """Another interpreter, which imports the package and runs a script."""
-    return subprocess.Popen([sys.executable, "-c", "import rangehound as rh\n" + text, *map(str, words)], stdout=subprocess.PIPE, text=True, cwd="/", **more)
+    return subprocess.Popen([sys.executable, "-c", "import rangehound as rh\n" + text, *map(str, args)], stdout=subprocess.PIPE, text=True, cwd="/", **more)
 
 
 def plan():
@@ -65,8 +65,8 @@ def simulate():
 
     def run_s(ticks, out):
         began_s = time.perf_counter()
-        words = ["run", "--in-process", "--ticks", str(ticks), "--no-record", "--out", str(out)]
-        subprocess.run([program, *words], check=True, capture_output=True)
+        args = ["run", "--in-process", "--ticks", str(ticks), "--no-record", "--out", str(out)]
+        subprocess.run([program, *args], check=True, capture_output=True)
         return time.perf_counter() - began_s
 
     # Of many ticks, because the program also starts, and writes files.

@@ -30,8 +30,8 @@ def plain(value):
 
 def main():
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
-    words = [word for word in sys.argv[1:] if word != "use_sim_time"]
-    node = Node("listener", parameter_overrides=[Parameter("use_sim_time", value=len(words) < len(sys.argv) - 1)])
+    args = [arg for arg in sys.argv[1:] if arg != "use_sim_time"]
+    node = Node("listener", parameter_overrides=[Parameter("use_sim_time", value=len(args) < len(sys.argv) - 1)])
     heard = {}
 
     def hear(topic, message):
@@ -39,8 +39,8 @@ def main():
             print("first", flush=True)
         heard[topic].append(message)
 
-    for word in words:
-        topic, _, kind = word.partition("=")
+    for arg in args:
+        topic, _, kind = arg.partition("=")
         package, _, name = kind.partition("/")
         heard[topic] = []
         best_effort = ReliabilityPolicy.BEST_EFFORT if topic == "/clock" else ReliabilityPolicy.RELIABLE

@@ -46,9 +46,9 @@ def ros(tmp_path):
            "FASTDDS_DEFAULT_PROFILES_FILE": str(HERE / "ros2_loopback.xml"), "RMW_IMPLEMENTATION": "rmw_fastrtps_cpp",
            "ROS_LOG_DIR": str(tmp_path / "log"), "PYTHONUNBUFFERED": "1"}
 
-    def start(*words, waits=False):
+    def start(*args, waits=False):
         pipes = dict(stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-        started.append(subprocess.Popen([sys.executable, *map(str, words)], cwd=tmp_path, env={**os.environ, **own}, **pipes))
+        started.append(subprocess.Popen([sys.executable, *map(str, args)], cwd=tmp_path, env={**os.environ, **own}, **pipes))
         if waits:
             assert started[-1].stdout.readline() == "ready\n", started[-1].stderr.read()
         return started[-1]
@@ -66,13 +66,13 @@ def ros(tmp_path):
         (pathlib.Path("/dev/shm") / file).unlink(missing_ok=True)
 
 
-def node(ros, name, *words):
-    return ros("-m", "rangehound.ros2", "--name", name, *words)
+def node(ros, name, *args):
+    return ros("-m", "rangehound.ros2", "--name", name, *args)
 
 
 def listener(ros, *flags, **topics):
-    words = [f"/{topic.replace('__', '/')}={kind}" for topic, kind in topics.items()]
-    return ros(HERE / "ros2_listener.py", *flags, *words, waits=True)
+    args = [f"/{topic.replace('__', '/')}={kind}" for topic, kind in topics.items()]
+    return ros(HERE / "ros2_listener.py", *flags, *args, waits=True)
 
 
 def heard(process):
@@ -98,11 +98,11 @@ def children(process):
     found = {}
     for folder in pathlib.Path("/proc").glob("[0-9]*"):
         try:
-            words = (folder / "cmdline").read_bytes().decode().split("\0")
+            args = (folder / "cmdline").read_bytes().decode().split("\0")
         except OSError:
             continue
-        if "rangehound.ros2.robot" in words and words[words.index("--end-with") + 1] == str(process.pid):
-            found[int(words[words.index("--id") + 1])] = int(folder.name)
+        if "rangehound.ros2.robot" in args and args[args.index("--end-with") + 1] == str(process.pid):
+            found[int(args[args.index("--id") + 1])] = int(folder.name)
     return found
 
 
@@ -351,7 +351,7 @@ def test_the_quality_of_service_of_one_topic_is_overridden_and_no_other(ros):
 
 
 @pytest.mark.parametrize(
-    "words, cause",
+    "args, cause",
     [
         (["--robots", "7"], "expected all, or robots from 0 to 2"),
         (["--ros-args", "-p", "markers_rate_hz:=-1.0"], "markers_rate_hz is -1.0: expected a finite number that is not negative"),
@@ -359,9 +359,9 @@ def test_the_quality_of_service_of_one_topic_is_overridden_and_no_other(ros):
         (["--ros-args", "-r", "nonsense"], "--ros-args"),
     ],
 )
-def test_wrong_words_are_refused_with_the_cause(program, name, ros, tmp_path, words, cause):
+def test_wrong_arguments_are_refused_with_the_cause(program, name, ros, tmp_path, args, cause):
     with rh.run(name=name, out=tmp_path / "out", program=program, ticks=10_000):
-        bridge = node(ros, name, *words)
+        bridge = node(ros, name, *args)
         output = ended(bridge, code=2)
     assert cause in output and "Traceback" not in output, output
 

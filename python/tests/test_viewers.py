@@ -28,8 +28,8 @@ def foxglove(command, name):
     pytest.importorskip("foxglove", reason="foxglove-sdk is not installed")
     pytest.importorskip("websockets", reason="websockets is not installed")
 
-    def start(*words):
-        server = command("foxglove", "--name", name, "--port", 0, *words)
+    def start(*args):
+        server = command("foxglove", "--name", name, "--port", 0, *args)
         line = server.stdout.readline()
         found = re.fullmatch(rf"run {name}: in Foxglove, open the connection (ws://127.0.0.1:\d+), or https?://\S+\n", line)
         assert found, line + server.stderr.read()
@@ -220,10 +220,10 @@ def test_a_run_in_rerun_has_estimates_field_and_both_timelines(command, root, na
 
 
 def test_faults_of_viewers_are_one_line(command, name, python, tmp_path):
-    def error_of(*words):
-        process = command(*words)
+    def error_of(*args):
+        process = command(*args)
         out, err = process.communicate()
-        assert (process.returncode, out, err.count("\n")) == (2, "", 1), (words, out, err)
+        assert (process.returncode, out, err.count("\n")) == (2, "", 1), (args, out, err)
         return err
 
     for viewer, package in (("foxglove", "foxglove"), ("rerun", "rerun")):
@@ -243,8 +243,8 @@ def test_faults_of_viewers_are_one_line(command, name, python, tmp_path):
 def test_a_viewer_that_is_not_there_is_one_line(command, name, program, tmp_path):
     pytest.importorskip("rerun", reason="rerun-sdk is not installed")
     with rh.run(name=name, out=tmp_path / "out", program=program, ticks=100_000):
-        for words in (["--connect", "rerun+http://127.0.0.1:1/proxy"], ["--connect", "nowhere"], ["--save", "/none/x.rrd"]):
-            viewer = command("rerun", "--name", name, *words)
+        for args in (["--connect", "rerun+http://127.0.0.1:1/proxy"], ["--connect", "nowhere"], ["--save", "/none/x.rrd"]):
+            viewer = command("rerun", "--name", name, *args)
             _, err = viewer.communicate()
             lines = [line for line in err.splitlines() if line.startswith("python -m")]
             assert viewer.returncode == 2 and len(lines) == 1 and "Rerun cannot be used: expected a viewer" in lines[0], err

@@ -133,17 +133,17 @@ impl RobotArgs {
         let Some(connect) = &self.connect else {
             return node::robot(&self.node.name, usize::try_from(self.id)?, self.node.parent.end_with);
         };
-        let mut words: Vec<OsString> =
+        let mut args: Vec<OsString> =
             vec!["robot".into(), "--id".into(), self.id.to_string().into(), "--connect".into(), connect.into()];
         if let Some(keys) = &self.keys {
-            words.extend(["--keys".into(), keys.into()]);
+            args.extend(["--keys".into(), keys.into()]);
         }
         // The gateway's run, whatever its name, unless one is asked for.
         if self.node.name.to_string() != rangehound_shared::scenario::defaults::NAME {
-            words.extend(["--name".into(), self.node.name.to_string().into()]);
+            args.extend(["--name".into(), self.node.name.to_string().into()]);
         }
-        words.extend(self.allow_remote_control.then(|| "--allow-remote-control".into()));
-        gateway::hand_over(words)
+        args.extend(self.allow_remote_control.then(|| "--allow-remote-control".into()));
+        gateway::hand_over(args)
     }
 }
 

@@ -67,13 +67,13 @@ pub fn latency_transports() -> Result<Vec<String>, Failure> {
     }
 }
 
-/// Becomes that program, with these words.
+/// Becomes that program, with these arguments.
 ///
 /// # Errors
 /// [`Failure`] if it is not installed or cannot be started.
-pub fn hand_over(words: impl IntoIterator<Item = OsString>) -> Result<(), Failure> {
+pub fn hand_over(args: impl IntoIterator<Item = OsString>) -> Result<(), Failure> {
     let program = program()?;
-    let error = Command::new(&program).arg0("rangehound").args(words).exec();
+    let error = Command::new(&program).arg0("rangehound").args(args).exec();
     Err(Failure::Running(anyhow::anyhow!("cannot start {}: {error}", program.display())))
 }
 

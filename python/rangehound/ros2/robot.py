@@ -38,13 +38,13 @@ What follows --ros-args goes to ROS.
 """
 
 
-def main(words: Sequence[str]) -> None:
+def main(argv: Sequence[str]) -> None:
     """Takes part in the run until it ends. The last command is to stop."""
-    words, ros_args = split_ros_args(words)
+    argv, ros_args = split_ros_args(argv)
     arguments = Parser("ros2.robot", "A real robot takes part in a live run, by topics of ROS 2.", _HELP)
     arguments.add_argument("--id", required=True, type=int, metavar="N", help="number of the robot in the team, from 0")
     arguments.add_argument("--end-with", type=int, metavar="PID", help="end when this process ends")
-    args = arguments.parse_args(words)
+    args = arguments.parse_args(argv)
     if args.end_with is not None:
         end_with(args.end_with)
     with Session(f"rangehound_robot_{args.id}" if args.id >= 0 else "rangehound_robot", ros_args) as session:
