@@ -238,7 +238,7 @@ def fresh_headings():
 
 
 def ros_messages():
-    """What a subscriber of another process gets of a run with ten robots and 100 Hz that the node shows: messages that it lacks."""
+    """Messages that a subscriber of another process lacks of a run with ten robots and 100 Hz that the node shows."""
     return ros()["lost"], f"messages lost of {ros()['ticks']}, M = 10, 100 Hz", 0.0
 
 

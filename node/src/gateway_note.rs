@@ -57,7 +57,7 @@ impl RobotOrder {
     /// # Errors
     /// If it cannot be written.
     pub fn write(self, run: &Rendezvous, robot: usize) -> Result<(), RendezvousError> {
-        // What became of an earlier one.
+        // Removes the outcome of an earlier order.
         let _ = Self::has_arrived(run, robot);
         run.write_note(&order_of(robot), &serde_json::to_string(&self).unwrap_or_default())
     }

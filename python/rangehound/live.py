@@ -144,7 +144,7 @@ class LiveRun:
         self.name = name
         self._process, self._program, self._log = process, program, log
         self._report: dict[str, Any] | None = None
-        #: What has ended the process of a planner of one's own.
+        #: The error that has ended the process of a planner of one's own.
         self._problem: str | None = None
 
     def kill(self, node: str) -> None:

@@ -38,7 +38,7 @@ pub(crate) fn failed(failure: impl Into<Failure>) -> PyErr {
 const POLL_INTERVAL: Duration = Duration::from_millis(5);
 
 /// Reads in a thread, so that Python can act on signals meanwhile, and show `progress`, a function of the bytes that have been read and of
-/// all. After a signal, or an exception of `progress`, nobody waits for the thread. What cannot be read is invalid input.
+/// all. After a signal, or an exception of `progress`, nobody waits for the thread. Data that cannot be read are invalid input.
 pub(crate) fn interruptible<T: Send + 'static, E: ToString + Send + 'static>(
     py: Python<'_>,
     progress: Option<&Py<PyAny>>,

@@ -102,7 +102,7 @@ impl Observer {
         self.run.description().out_dir.clone()
     }
 
-    /// What its messages do not say of the run: the length of a time step, s; whether its clock is lock step, whether it is a
+    /// The facts of the run that its messages lack: the length of a time step, s; whether its clock is lock step, whether it is a
     /// recording, and whether the state goes on with the velocity after the position; what ROS's stamps add to its times, ns, and
     /// the limits of the controller by default; and for each robot its speed limit, m/s, and the standard deviations that the filter
     /// assumes for its range at distance 0, m, and its bearing, rad: NaN for what it does not measure.
@@ -156,7 +156,7 @@ impl Observer {
 }
 
 impl Observer {
-    /// What `take` makes of the next tick, once it is logged; `None` at the end of the run.
+    /// The result of `take` for the next tick, once it is logged; `None` at the end of the run.
     pub(crate) fn wait<T>(
         &mut self,
         py: Python<'_>,
@@ -167,7 +167,7 @@ impl Observer {
                 return Ok(Some(taken));
             }
             if self.is_quiet && self.is_over() {
-                // What was logged just before the end.
+                // The tick that was logged just before the end.
                 return self.look(true, &take).map_err(failed);
             }
             py.check_signals()?;
@@ -185,7 +185,7 @@ impl Observer {
         self.frames.as_ref()?.newest_estimate().ok()?
     }
 
-    /// What `take` makes of the next tick, if it is logged.
+    /// The result of `take` for the next tick, if it is logged.
     pub(crate) fn look<T>(
         &mut self,
         is_over: bool,
@@ -223,7 +223,7 @@ impl Observer {
     fn sleep(&mut self) {
         if self.changes.is_none() && self.frames.is_some() {
             self.changes = watch(&self.run.description().out_dir, self.waits_for_truth);
-            // What was written before is read first.
+            // Ticks that were written before are read first.
             return;
         }
         let Some(changes) = &self.changes else { return std::thread::sleep(POLL_INTERVAL) };

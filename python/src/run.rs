@@ -82,7 +82,7 @@ impl History {
         self
     }
 
-    /// Adds a tick. What no node has recorded is NaN, or zero if it is a count.
+    /// Adds a tick. A value that no node has recorded is NaN, or zero if it is a count.
     pub(crate) fn add(&mut self, logged: LoggedTick<'_>) {
         let LoggedTick { tick, fusion, world } = logged;
         let n = self.state_dim;

@@ -13,7 +13,7 @@ use crate::arrays::{Numbers, array};
 use crate::errors::{Raised, input};
 use crate::plan::Plan;
 
-/// What a planner sees before a step.
+/// The inputs of a planner before a step.
 #[pyclass(frozen, module = "rangehound._native")]
 pub(crate) struct Situation {
     tick: u64,
@@ -124,7 +124,7 @@ impl Situation {
         Ok(Plan::of_parts(spec.name(), &plan, certificate, plan_us))
     }
 
-    /// What headings (M,), rad, and speeds (M,), m/s, are worth: `(objective, position trace in m^2, gap to the certified
+    /// The worth of headings (M,), rad, and speeds (M,), m/s: `(objective, position trace in m^2, gap to the certified
     /// optimum)`.
     #[pyo3(signature = (headings_rad, speeds_mps=None))]
     fn worth(

@@ -54,7 +54,7 @@ def test_a_sensor_and_a_target_are_functions_of_all_planners_and_those_of_simula
         rh.compare(planners=["greedy"], runs=50, ticks=40, target=lost)
 
 
-def test_what_a_function_raises_ends_all_runs():
+def test_an_exception_of_a_function_ends_all_runs():
     def broken(situation):
         if situation.tick == 30:
             raise LookupError("lost")

@@ -235,7 +235,7 @@ def test_faults_of_a_radio_are_one_line(by_hand, name, python):
         rh.Robot(name, 0, radio=rh.Radio("/dev/null"), measure=print)
 
 
-def test_what_the_function_of_a_robot_raises_ends_it_and_the_run_goes_on_without(by_hand, name, tmp_path):
+def test_an_exception_of_a_robots_function_ends_it_and_the_run_goes_on_without(by_hand, name, tmp_path):
     script = "def measure(robot, tick, *_): return 1 / (20 - tick)\nrh.Robot(name, 2, measure=measure).run()"
     sim, fusion, _, _, robot = by_hand(["sim"], ["fusion"], *robots(0, 1), scripts=[script], ticks=60, timeout_s=0.3, clock="lockstep")
     _, err = robot.communicate()
@@ -355,7 +355,7 @@ def test_a_run_is_led_by_a_function_also_after_its_process_was_killed(program, n
     assert digest == rh.simulate(rh.Scenario(**keys), planner=own, gap=False).digest
 
 
-def test_what_the_planner_of_a_run_raises_ends_the_run_and_is_told(program, name, tmp_path):
+def test_an_exception_of_a_runs_planner_ends_the_run_and_is_reported(program, name, tmp_path):
     def broken(situation):
         if situation.tick == 20:
             raise LookupError("lost")

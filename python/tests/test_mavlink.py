@@ -56,7 +56,7 @@ class Autopilot(threading.Thread):
 
     @property
     def speed_mps(self):
-        """What it drives now."""
+        """Its present speed."""
         return math.hypot(*self.velocity) if self.drives() else 0.0
 
     def drives(self):

@@ -425,7 +425,7 @@ def plain(value):
     return value.tolist() if isinstance(value, np.ndarray) else value
 
 
-def test_diagnostics_tell_who_is_gone_and_what_was_rejected(program, name, ros, by_hand, tmp_path):
+def test_diagnostics_name_silent_robots_and_count_rejected_measurements(program, name, ros, by_hand, tmp_path):
     """Nobody starts the killed robot again, which is one of ours. Another one measures nonsense now and then."""
     outliers = "rh.Robot(name, 2, measure=lambda robot, tick, range_m, _: range_m + (50.0 if tick % 3 == 0 else 0.0)).run()"
     ears = listener(ros, diagnostics="diagnostic_msgs/DiagnosticArray")
@@ -442,7 +442,7 @@ def test_diagnostics_tell_who_is_gone_and_what_was_rejected(program, name, ros, 
             if tick.tick >= killed_at + 60:
                 break
         run.stop()
-        # What others have started ends with the run.
+        # Processes that others have started end with the run.
         assert other.wait(timeout=60) == 0
         ended(watched)
     statuses = [status for message in heard(ears)["/diagnostics"] for status in message["status"]]

@@ -1,4 +1,4 @@
-"""What the node of ROS 2 computes, without ROS: messages of a tick, measurements of messages, the controller."""
+"""The computations of the node of ROS 2, without ROS: messages of a tick, measurements of messages, the controller."""
 
 import math
 import re

@@ -131,7 +131,7 @@ def test_an_answer_that_is_no_headings_is_refused(planner, message):
         rh.simulate(ticks=5, planner=planner)
 
 
-def test_what_a_function_raises_is_raised_and_it_is_not_called_again():
+def test_an_exception_of_a_function_is_raised_and_it_is_not_called_again():
     calls = []
 
     def broken(*_):

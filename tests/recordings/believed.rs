@@ -83,7 +83,7 @@ fn a_good_track_is_valid_and_one_in_a_wrong_unit_or_with_another_clocks_truth_is
 }
 
 #[test]
-fn what_calibrate_finds_without_truth_makes_the_track_better() {
+fn a_calibration_without_truth_makes_the_track_better() {
     let run = Run::new();
     let biases_m = [0.45, 0.1, 0.35, -0.2];
     let (ranges, truth) = recording(1.0, biases_m);

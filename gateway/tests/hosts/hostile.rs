@@ -138,7 +138,7 @@ fn hostile_frames_of_a_certified_robot_are_refused_by_cause_and_cost_no_memory()
                 }
             }
             robot.send_all(at_least, || good.clone()).await;
-            // What was sent before is read before.
+            // Frames are read in the order in which they were sent.
             let before = run.refused("damaged frame");
             while run.refused("damaged frame") == before {
                 robot.send_all(1, Vec::new).await;

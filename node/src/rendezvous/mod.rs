@@ -286,7 +286,7 @@ impl Rendezvous {
     }
 
     /// Leaves the run while a thread of this process, which holds a role, still hangs: frees the role for a successor, and does
-    /// not keep the run alive. What that thread does later has no effect.
+    /// not keep the run alive. Later actions of that thread have no effect.
     pub fn abandon(&self, role: Role) {
         let is_held_here = self.roster.holder(role) == Some(rustix::process::getpid());
         if let Some(silent_since) = self.roster.last_heartbeat(role).filter(|_| is_held_here) {

@@ -48,7 +48,7 @@ parameters:  map_frame target_frame base_frame publish_tf markers_rate_hz
              max_speed_mps max_turn_rate_radps heading_gain_per_s
              with --robots also those of python -m rangehound.ros2.robot
 
-What follows --ros-args goes to ROS:
+Arguments after --ros-args go to ROS:
   python -m rangehound.ros2 --name demo
   python -m rangehound.ros2 --name demo --robots 0,1 --ros-args -r __ns:=/team
 

@@ -34,7 +34,7 @@ parameters:  map_frame base_frame odom_origin max_age_s odom_max_age_s
              heading_gain_per_s
 
 `python -m rangehound.ros2 --robots` starts this for each real robot.
-What follows --ros-args goes to ROS.
+Arguments after --ros-args go to ROS.
 """
 
 
@@ -220,7 +220,7 @@ class Bridge:
         return at.x_m, at.y_m, at.yaw_rad, *at.covariance_m2, at.yaw_std_rad
 
     def measure(self, robot: int, tick: int, range_m: float, bearing_rad: float) -> tuple[float, ...] | None:
-        """What the sensors have measured since the last tick."""
+        """The measurements of the sensors since the last tick."""
         ranged, bearing = self._measured_now
         if ranged is None and bearing is None:
             return None

@@ -1,4 +1,4 @@
-"""What the nodes share: rclpy, the message types that are installed, the command line, and an end in order."""
+"""The common parts of the nodes: rclpy, the message types that are installed, the command line, and an end in order."""
 
 from __future__ import annotations
 

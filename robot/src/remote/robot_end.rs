@@ -122,7 +122,7 @@ impl RobotEnd {
         let mut measured: Vec<Measured> = newest.into_iter().collect();
         for kept in self.kept.iter_mut().rev() {
             let is_newest = newest.is_some_and(|newest| newest.tick == kept.measured.tick);
-            // What does not fit is due in the next frame.
+            // Measurements that do not fit are due in the next frame.
             let is_sent = !is_newest && is_due(kept) && measured.len() < MEASUREMENTS_MAX;
             if is_sent {
                 measured.push(kept.measured);

@@ -39,7 +39,7 @@ pub(crate) enum Action {
     },
 }
 
-/// What a look shows of a node's process. `S` is a heartbeat, of which only changes matter.
+/// The observed state of a node's process. `S` is a heartbeat, of which only changes matter.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct Seen<S> {
     /// Its newest heartbeat.

@@ -123,7 +123,7 @@ impl Supervision {
         Ok(Some(Gateway { program: gateway::program()?, listen, keys: hosts.keys.clone() }))
     }
 
-    /// What the run folder keeps of them: with the port at which the gateway listens, and keys that are found from any folder.
+    /// The copy of them in the run folder: with the port at which the gateway listens, and keys that are found from any folder.
     fn hosts_at(&self, gateway: Option<&Gateway>) -> Option<Hosts> {
         let (hosts, gateway) = (self.hosts.clone()?, gateway?);
         let keys = hosts.keys.map(|keys| std::path::absolute(&keys).unwrap_or(keys));

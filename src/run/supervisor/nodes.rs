@@ -335,7 +335,7 @@ impl Node {
         Ok(())
     }
 
-    /// What a look shows of its process.
+    /// The observed state of its process.
     fn see(&self, roster: &Roster) -> Seen<SystemTime> {
         let pid = self.running.as_ref().map(Running::pid);
         let heartbeat =

@@ -27,7 +27,7 @@ pub(super) struct Network {
 }
 
 impl Network {
-    /// Makes this many hosts. What is in their shared memory is in this folder, which is removed with them.
+    /// Makes this many hosts. Their shared memory is in this folder, which is removed with them.
     ///
     /// # Errors
     /// If this process may not make them, or `ip`, `nsenter` or `unshare` are missing.
