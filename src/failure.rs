@@ -10,7 +10,7 @@ use serde::Serialize;
 use crate::terminal::{self, BAD};
 
 /// Longest error message, bytes: the text that it quotes may be as long as a file.
-const COMPLAINT_CHARS_MAX: usize = 400;
+const MESSAGE_BYTES_MAX: usize = 400;
 
 /// Why a command failed.
 #[derive(Debug)]
@@ -87,7 +87,7 @@ pub fn with_causes(error: &anyhow::Error) -> String {
 pub fn one_short_line(problem: &str) -> String {
     let mut short = String::new();
     for character in problem.chars() {
-        if short.len() >= COMPLAINT_CHARS_MAX {
+        if short.len() >= MESSAGE_BYTES_MAX {
             short.push_str("...");
             break;
         }

@@ -223,17 +223,17 @@ impl Run {
         self.wait_until(&format!("{ticks} ticks are done"), || self.ticks_done() >= ticks);
     }
 
-    /// Prefix of the run's shared memory, once it has been founded.
+    /// Prefix of the run's shared memory, once it has been created.
     pub(crate) fn shared_memory_prefix(&self) -> String {
         let config = self.shared_folder().join("iceoryx2.toml");
-        self.wait_until("the run is founded", || config.exists());
+        self.wait_until("the run is created", || config.exists());
         let config = std::fs::read_to_string(config).unwrap();
         config.lines().find_map(|line| line.strip_prefix("prefix = ")).unwrap().trim_matches('"').to_owned()
     }
 
     /// Checks that the run has left no file in `/dev/shm`.
     pub(crate) fn assert_nothing_left(&self) {
-        // Repeated: any founder looks into the folders of others, to remove those of dead processes.
+        // Repeated: any creator looks into the folders of others, to remove those of dead processes.
         self.wait_until("the run's folder is gone", || !self.shared_folder().exists());
         let names = |prefix: &str| -> Vec<String> {
             let entries = std::fs::read_dir("/dev/shm").unwrap().flatten();
@@ -241,13 +241,13 @@ impl Run {
             names.filter(|name| name.starts_with(prefix)).collect()
         };
         let left = names("rh");
-        // The prefix of shared memory follows from the name alone, and a founder records it.
-        let founder = self.node("sim --ticks 1 --out of-founder");
+        // The prefix of shared memory follows from the name alone, and a creator records it.
+        let creator = self.node("sim --ticks 1 --out of-creator");
         let prefix = self.shared_memory_prefix();
         let left: Vec<&String> = left.iter().filter(|name| name.starts_with(&prefix)).collect();
         assert!(left.is_empty(), "{left:?}");
-        founder.signal(Signal::TERM);
-        founder.finish().succeeded();
+        creator.signal(Signal::TERM);
+        creator.finish().succeeded();
         self.wait_until("the folder is gone again", || !self.shared_folder().exists());
         assert_eq!(names(&prefix), [""; 0]);
     }

@@ -23,7 +23,7 @@ def copy_sources():
     for name in MEMBERS:
         source, target = ROOT / name, COPY / name
         if source.is_dir():
-            # What has gone from the sources must go from the copy too.
+            # Files that have gone from the sources must go from the copy too.
             shutil.rmtree(target, ignore_errors=True)
             shutil.copytree(source, target, ignore=shutil.ignore_patterns("target"))
         elif source.exists():

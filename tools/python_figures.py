@@ -46,9 +46,9 @@ def folder():
         yield pathlib.Path(path)
 
 
-def script(text, *words, **more):
+def script(text, *args, **more):
     """Another interpreter, which imports the package and runs a script."""
-    return subprocess.Popen([sys.executable, "-c", "import rangehound as rh\n" + text, *map(str, words)], stdout=subprocess.PIPE, text=True, cwd="/", **more)
+    return subprocess.Popen([sys.executable, "-c", "import rangehound as rh\n" + text, *map(str, args)], stdout=subprocess.PIPE, text=True, cwd="/", **more)
 
 
 def plan():
@@ -66,8 +66,8 @@ def simulate():
 
     def run_s(ticks, out):
         began_s = time.perf_counter()
-        words = ["run", "--in-process", "--ticks", str(ticks), "--no-record", "--out", str(out)]
-        subprocess.run([program, *words], check=True, capture_output=True)
+        args = ["run", "--in-process", "--ticks", str(ticks), "--no-record", "--out", str(out)]
+        subprocess.run([program, *args], check=True, capture_output=True)
         return time.perf_counter() - began_s
 
     # Of many ticks, because the program also starts, and writes files.
@@ -239,7 +239,7 @@ def fresh_headings():
 
 
 def ros_messages():
-    """What a subscriber of another process gets of a run with ten robots and 100 Hz that the node shows: messages that it lacks."""
+    """Messages that a subscriber of another process lacks of a run with ten robots and 100 Hz that the node shows."""
     ticks, found_by, lost = 2000, 500, 0
     with folder() as path, ears() as listener, ros_run(path, ticks) as run:
         with node():

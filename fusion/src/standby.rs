@@ -8,7 +8,7 @@ use rangehound_shared::scenario::{PlannerSpec, Scenario};
 pub const STANDBYS_MAX: usize = 8;
 
 /// How often a standby checks the leader's heartbeat.
-pub const LOOK: Duration = Duration::from_millis(50);
+pub const POLL_INTERVAL: Duration = Duration::from_millis(50);
 
 /// Consecutive looks without a heartbeat after which the leader is deposed. Looks are counted so that neither a
 /// suspension of the standby itself nor a clock jump deposes a leader.
@@ -38,11 +38,11 @@ impl<S: Copy + PartialEq, L: Copy + PartialEq> Standby<S, L> {
     /// A standby that sees this heartbeat first, and waits for this lock.
     #[must_use]
     pub fn new(scenario: &Scenario, last_heartbeat: Option<S>, awaited: Option<L>) -> Self {
-        let silent_looks_max = SILENT_LOOKS_MAX + step_max(scenario).div_duration_f64(LOOK) as u32;
+        let silent_looks_max = SILENT_LOOKS_MAX + step_max(scenario).div_duration_f64(POLL_INTERVAL) as u32;
         Self { last_heartbeat, awaited, silent_looks: 0, silent_looks_max }
     }
 
-    /// Takes the newest heartbeat; called once every [`LOOK`]. Returns the heartbeat if the leader is to be deposed.
+    /// Takes the newest heartbeat; called once every [`POLL_INTERVAL`]. Returns the heartbeat if the leader is to be deposed.
     /// The caller deposes it only if it has sent no newer one meanwhile.
     pub fn look(&mut self, heartbeat: Option<S>) -> Option<S> {
         self.silent_looks = if heartbeat == self.last_heartbeat { self.silent_looks + 1 } else { 0 };
@@ -63,7 +63,7 @@ impl<S: Copy + PartialEq, L: Copy + PartialEq> Standby<S, L> {
     /// The silence after which the leader is deposed.
     #[must_use]
     pub fn silence_max(&self) -> Duration {
-        LOOK * self.silent_looks_max
+        POLL_INTERVAL * self.silent_looks_max
     }
 }
 

@@ -22,7 +22,7 @@ const SETTLED_TICKS: u64 = 100;
 const RING_M: f64 = 15.0;
 const RANGE_STD_M: f64 = 0.3;
 
-/// What all robots have in common, and which share of the errors each has.
+/// The settings that all robots have in common, and the share of the errors that each has.
 #[derive(Clone)]
 struct Team {
     robots: usize,

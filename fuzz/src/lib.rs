@@ -207,8 +207,8 @@ pub fn plan_lines(bytes: &[u8]) -> Verdict {
 
 /// A command line after `rangehound`, split at spaces.
 pub fn command_lines(bytes: &[u8]) -> Verdict {
-    let words = bytes.split(|byte| *byte == b' ').map(|word| OsString::from_vec(word.to_vec()));
-    match Cli::try_parse_from([OsString::from("rangehound")].into_iter().chain(words)) {
+    let args = bytes.split(|byte| *byte == b' ').map(|arg| OsString::from_vec(arg.to_vec()));
+    match Cli::try_parse_from([OsString::from("rangehound")].into_iter().chain(args)) {
         Ok(_) => Ok(()),
         Err(error) if error.use_stderr() => Err(Complaint::of(one_line(&error))),
         Err(_) => Err(Complaint::of("help".to_owned())),
@@ -216,7 +216,7 @@ pub fn command_lines(bytes: &[u8]) -> Verdict {
 }
 
 /// Names of nodes and runs, and rules for restarts.
-pub fn words(bytes: &[u8]) -> Verdict {
+pub fn names(bytes: &[u8]) -> Verdict {
     let text = String::from_utf8_lossy(bytes);
     let role = text.parse::<Role>().inspect(|role| assert_eq!(role.to_string().parse::<Role>().as_ref(), Ok(role)));
     let name = text.parse::<RunName>().inspect(|name| assert!(name.to_string().len() <= 24));

@@ -79,7 +79,7 @@ struct RobotArgs {
 
 #[derive(Debug, Args)]
 struct LatencyNodeArgs {
-    /// What carries the frames
+    /// Transport of the frames
     #[arg(long, value_enum)]
     transport: Transport,
     /// The centre's address

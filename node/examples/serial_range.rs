@@ -27,7 +27,7 @@ use rangehound_shared::scenario::{Calibration, bounds};
 /// Reads ranges as the radio prints them and writes commands as lines `heading_rad,speed_mps`.
 #[derive(Debug, Parser)]
 struct Args {
-    /// Name of the run to join; waits for it to be founded
+    /// Name of the run to join; waits until the run exists
     #[arg(long)]
     name: RunName,
     /// Number of the robot in the team, from 0

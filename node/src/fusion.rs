@@ -6,7 +6,7 @@ use rangehound_fusion::Centre;
 use rangehound_fusion::centre::Diverged;
 use rangehound_fusion::leader::{Action, Leader, Notice, Saved};
 use rangehound_fusion::planner::{Planner, PlannerError};
-use rangehound_fusion::standby::{LOOK, STANDBYS_MAX, Standby};
+use rangehound_fusion::standby::{POLL_INTERVAL, STANDBYS_MAX, Standby};
 use rangehound_fusion::trust::{FAILURES_MAX, RECENT};
 use rangehound_shared::message::{Command, Estimate, Range};
 use rangehound_shared::record::FusionRecord;
@@ -150,7 +150,7 @@ impl<'a> Driver<'a> {
         let mut succession = roster.succeed(Role::Fusion);
         // A leader that dies after the last tick leaves its last estimates to a standby.
         while !termination.requested() && !self.rendezvous.is_complete() && !self.rendezvous.is_ending() {
-            if let Some(lease) = roster.take_in_succession(Role::Fusion, &succession, LOOK)? {
+            if let Some(lease) = roster.take_in_succession(Role::Fusion, &succession, POLL_INTERVAL)? {
                 if self.rendezvous.is_removed() {
                     return Err(self.rendezvous.removed().into());
                 }

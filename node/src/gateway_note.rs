@@ -15,14 +15,14 @@ pub struct GatewayNote {
     /// The gateway's process.
     pub pid: u32,
     /// The robots that have joined.
-    pub guests: Vec<GuestNote>,
+    pub robots: Vec<RemoteRobotNote>,
     /// Peers that were refused, by cause.
     pub refusals: BTreeMap<String, u64>,
 }
 
 /// The link to one robot.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct GuestNote {
+pub struct RemoteRobotNote {
     /// Its number.
     pub robot: usize,
     /// Its host, by its certificate, or its address.
@@ -57,7 +57,7 @@ impl RobotOrder {
     /// # Errors
     /// If it cannot be written.
     pub fn write(self, run: &Rendezvous, robot: usize) -> Result<(), RendezvousError> {
-        // What became of an earlier one.
+        // Removes the outcome of an earlier order.
         let _ = Self::has_arrived(run, robot);
         run.write_note(&order_of(robot), &serde_json::to_string(&self).unwrap_or_default())
     }
@@ -76,7 +76,7 @@ impl RobotOrder {
         run.write_note(&outcome_of(robot), if has_arrived { ARRIVED } else { "lost" })
     }
 
-    /// Whether the robot has confirmed its order, which is told once; `None` until it is decided.
+    /// True if the robot has confirmed its order; `None` until this is decided. The answer is reported once.
     #[must_use]
     pub fn has_arrived(run: &Rendezvous, robot: usize) -> Option<bool> {
         run.take_note(&outcome_of(robot)).map(|outcome| outcome == ARRIVED)

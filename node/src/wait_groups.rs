@@ -260,7 +260,7 @@ impl Notifier {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::rendezvous::found_for_test as run;
+    use crate::rendezvous::create_for_test as run;
 
     /// Far longer than any wait takes here.
     const LIMIT: Duration = Duration::from_secs(60);

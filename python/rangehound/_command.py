@@ -1,4 +1,4 @@
-"""What the commands `python -m rangehound.NAME` share: flags, exit codes, and packages that may be missing."""
+"""The common parts of the commands `python -m rangehound.NAME`: flags, exit codes, and packages that may be missing."""
 
 from __future__ import annotations
 

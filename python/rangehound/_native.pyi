@@ -70,7 +70,7 @@ class Plan:
         """(M,), m/s."""
     @property
     def objective(self) -> float:
-        """What was made small: `|S|`, 1/m^2, for ranges of constant noise; the criterion's value for other sensors."""
+        """The minimised quantity: `|S|`, 1/m^2, for ranges of constant noise; the criterion's value for other sensors."""
     @property
     def lower_bound(self) -> float:
         """No headings reach less of the objective."""
@@ -89,7 +89,7 @@ class Plan:
 
 @final
 class Situation:
-    """What a planner sees before a step: M robots, and a state of dimension n."""
+    """The inputs of a planner before a step: M robots, and a state of dimension n."""
 
     @property
     def tick(self) -> int: ...
@@ -128,7 +128,7 @@ class Situation:
     def plan(self, planner: str = "certified", *, seed: int | None = None) -> Plan:
         """The plan of a built-in planner for this situation."""
     def worth(self, headings_rad: ArrayLike, speeds_mps: ArrayLike | None = None) -> tuple[float, float, float]:
-        """What headings (M,), rad, and speeds (M,), m/s, are worth: objective, position trace, m^2, gap to the optimum."""
+        """The worth of headings (M,), rad, and speeds (M,), m/s: objective, position trace, m^2, gap to the optimum."""
 
 class Filter:
     def __new__(cls, scenario: Scenario) -> Self: ...

@@ -144,7 +144,7 @@ class LiveRun:
         self.name = name
         self._process, self._program, self._log = process, program, log
         self._report: dict[str, Any] | None = None
-        #: What has ended the process of a planner of one's own.
+        #: The error that has ended the process of a planner of one's own.
         self._problem: str | None = None
 
     def kill(self, node: str) -> None:
@@ -227,13 +227,13 @@ class LiveRun:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def _command(self, *words: str) -> str:
+    def _command(self, *args: str) -> str:
         import subprocess
 
         if self._process.poll() is not None:
             # Another run may have its name by now.
             raise RunError(f"run {self.name} has ended: expected one that still goes on")
-        done = subprocess.run([self._program, *words, "--name", self.name], capture_output=True, text=True)
+        done = subprocess.run([self._program, *args, "--name", self.name], capture_output=True, text=True)
         if done.returncode != 0:
             lines = done.stderr.strip().splitlines() or [f"exit code {done.returncode}"]
             raise (InputError if done.returncode == 2 else RunError)(lines[-1].removeprefix("rangehound: "))
@@ -296,23 +296,23 @@ def run(
     scenario = scenario.replace(**keys) if keys else scenario
     if scenario.is_recording:
         raise InputError("the scenario plays a recording: expected a simulated one: `track` plays recordings")
-    words = [program, "run", "--name", name, "--json", "--standby", str(standby), "--end-with", str(os.getpid())]
-    words += ["--record" if record else "--no-record"]
-    words += ["--external", ",".join(map(str, external))] if len(external) > 0 else []
-    words += ["--out", os.fspath(out)] if out is not None else []
+    args = [program, "run", "--name", name, "--json", "--standby", str(standby), "--end-with", str(os.getpid())]
+    args += ["--record" if record else "--no-record"]
+    args += ["--external", ",".join(map(str, external))] if len(external) > 0 else []
+    args += ["--out", os.fspath(out)] if out is not None else []
     log = tempfile.TemporaryFile("w+", encoding="utf-8")
     with tempfile.NamedTemporaryFile("w", suffix=".toml", encoding="utf-8") as file:
         file.write(scenario.to_toml())
         file.flush()
-        process = subprocess.Popen([*words, file.name], stdout=subprocess.PIPE, stderr=log, text=True)
+        process = subprocess.Popen([*args, file.name], stdout=subprocess.PIPE, stderr=log, text=True)
         live = LiveRun(process, name, program, log)
-        _wait_until_founded(live)
+        _wait_until_created(live)
     if callable(planner):
         threading.Thread(target=live._lead, args=(planner,), name="planner", daemon=True).start()
     return live
 
 
-def _wait_until_founded(live: LiveRun) -> None:
+def _wait_until_created(live: LiveRun) -> None:
     """Waits until the run can be joined, and is that of this process and not another of its name: its scenario has been read then."""
     while live._process.poll() is None:
         try:

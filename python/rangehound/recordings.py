@@ -19,7 +19,7 @@ _READING = ("columns", "field", "topic", "position", "msg", "anchors", "target",
 
 
 class Calibration:
-    """What `calibrate` found. Intervals are of 95 %: `value` plus or minus `half_width`."""
+    """The result of `calibrate`. Intervals are of 95 %: `value` plus or minus `half_width`."""
 
     def __init__(self, found: str, toml: str, residuals: list[list[tuple[float, float]]]) -> None:
         keys = json.loads(found)

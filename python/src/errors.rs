@@ -35,10 +35,10 @@ pub(crate) fn failed(failure: impl Into<Failure>) -> PyErr {
 }
 
 /// How long a call works until Python can act on signals.
-const LOOK: Duration = Duration::from_millis(5);
+const POLL_INTERVAL: Duration = Duration::from_millis(5);
 
 /// Reads in a thread, so that Python can act on signals meanwhile, and show `progress`, a function of the bytes that have been read and of
-/// all. After a signal, or an exception of `progress`, nobody waits for the thread. What cannot be read is invalid input.
+/// all. After a signal, or an exception of `progress`, nobody waits for the thread. Data that cannot be read are invalid input.
 pub(crate) fn interruptible<T: Send + 'static, E: ToString + Send + 'static>(
     py: Python<'_>,
     progress: Option<&Py<PyAny>>,
@@ -60,7 +60,7 @@ pub(crate) fn interruptible<T: Send + 'static, E: ToString + Send + 'static>(
     let worker = std::thread::Builder::new().name("reader".to_owned()).spawn(work);
     let worker = worker.map_err(|error| failed(anyhow::Error::from(error)))?;
     while !worker.is_finished() {
-        py.detach(|| std::thread::sleep(LOOK));
+        py.detach(|| std::thread::sleep(POLL_INTERVAL));
         py.check_signals()?;
         show()?;
     }

@@ -39,13 +39,13 @@ use crate::situation;
 const IDLE: Duration = Duration::from_millis(100);
 
 /// A run without simulator, fusion and supervisor for this long has ended, whatever its state.
-const DESERTED: Duration = Duration::from_secs(3);
+const NO_PROCESS_MAX: Duration = Duration::from_secs(3);
 
 /// How long a node may take to end after it has been asked to.
 const END_WAIT: Duration = Duration::from_secs(2);
 
 /// How often a node's process acts on signals.
-const LOOK: Duration = Duration::from_millis(20);
+const POLL_INTERVAL: Duration = Duration::from_millis(20);
 
 /// Iterates over the ticks of a live run.
 #[pyclass(module = "rangehound._native")]
@@ -84,7 +84,7 @@ impl Observer {
                 return Err(input(format!("no run {name} after {timeout_s} s: expected a run that has been started")));
             }
             py.check_signals()?;
-            py.detach(|| std::thread::sleep(LOOK));
+            py.detach(|| std::thread::sleep(POLL_INTERVAL));
         };
         let next = from_start.then_some(0);
         Ok(Self { run, frames: None, changes: None, next, waits_for_truth, is_quiet: true, inhabited: Instant::now() })
@@ -102,7 +102,7 @@ impl Observer {
         self.run.description().out_dir.clone()
     }
 
-    /// What its messages do not say of the run: the length of a time step, s; whether its clock is lock step, whether it is a
+    /// The facts of the run that its messages lack: the length of a time step, s; whether its clock is lock step, whether it is a
     /// recording, and whether the state goes on with the velocity after the position; what ROS's stamps add to its times, ns, and
     /// the limits of the controller by default; and for each robot its speed limit, m/s, and the standard deviations that the filter
     /// assumes for its range at distance 0, m, and its bearing, rad: NaN for what it does not measure.
@@ -137,7 +137,7 @@ impl Observer {
             // Fusion writes its last tick after the simulator has ended the run.
             return self.run.is_finished() && !roster.is_held(Role::Fusion);
         }
-        self.run.is_finished() || self.inhabited.elapsed() >= DESERTED
+        self.run.is_finished() || self.inhabited.elapsed() >= NO_PROCESS_MAX
     }
 
     fn __iter__(this: PyRef<'_, Self>) -> PyRef<'_, Self> {
@@ -156,7 +156,7 @@ impl Observer {
 }
 
 impl Observer {
-    /// What `take` makes of the next tick, once it is logged; `None` at the end of the run.
+    /// The result of `take` for the next tick, once it is logged; `None` at the end of the run.
     pub(crate) fn wait<T>(
         &mut self,
         py: Python<'_>,
@@ -167,7 +167,7 @@ impl Observer {
                 return Ok(Some(taken));
             }
             if self.is_quiet && self.is_over() {
-                // What was logged just before the end.
+                // The tick that was logged just before the end.
                 return self.look(true, &take).map_err(failed);
             }
             py.check_signals()?;
@@ -185,7 +185,7 @@ impl Observer {
         self.frames.as_ref()?.newest_estimate().ok()?
     }
 
-    /// What `take` makes of the next tick, if it is logged.
+    /// The result of `take` for the next tick, if it is logged.
     pub(crate) fn look<T>(
         &mut self,
         is_over: bool,
@@ -223,10 +223,10 @@ impl Observer {
     fn sleep(&mut self) {
         if self.changes.is_none() && self.frames.is_some() {
             self.changes = watch(&self.run.description().out_dir, self.waits_for_truth);
-            // What was written before is read first.
+            // Ticks that were written before are read first.
             return;
         }
-        let Some(changes) = &self.changes else { return std::thread::sleep(LOOK) };
+        let Some(changes) = &self.changes else { return std::thread::sleep(POLL_INTERVAL) };
         let timeout = Timespec { tv_sec: 0, tv_nsec: IDLE.as_nanos() as i64 };
         self.is_quiet = poll(&mut [PollFd::new(changes, PollFlags::IN)], Some(&timeout)).is_ok_and(|ready| ready == 0);
         if !self.is_quiet {
@@ -289,7 +289,7 @@ fn run_node(
     let worker = worker.map_err(|error| failed(anyhow::Error::from(error)))?;
     let (mut ended, mut asked) = (Ok(()), None);
     while !worker.is_finished() {
-        py.detach(|| std::thread::sleep(LOOK));
+        py.detach(|| std::thread::sleep(POLL_INTERVAL));
         if let Err(error) = py.check_signals() {
             ended = Err(error);
         }

@@ -21,7 +21,7 @@ pub(crate) struct Plan {
     pub(crate) planner: String,
     pub(crate) headings: Vec<f64>,
     pub(crate) speeds: Vec<f64>,
-    /// What was made small: `|S|`, 1/m^2, for ranges of constant noise; the criterion's value for other sensors.
+    /// The minimised quantity: `|S|`, 1/m^2, for ranges of constant noise; the criterion's value for other sensors.
     #[pyo3(get)]
     pub(crate) objective: f64,
     /// No headings reach less of it.

@@ -61,7 +61,7 @@ pub(crate) fn ros_robot<'py>(
 /// A marker: namespace, id, type, whether it is shown, position, m, yaw, rad, scale, m, colour, and points, m.
 type Drawn = (&'static str, usize, i32, bool, [f64; 2], f64, [f64; 3], [f32; 4], Vec<[f64; 2]>);
 
-/// What RViz draws of a tick: for an estimated position (2,), m, with its covariance (2, 2), m^2; and for each robot where it is, m, NaN
+/// The markers of a tick for RViz: for an estimated position (2,), m, with its covariance (2, 2), m^2; and for each robot where it is, m, NaN
 /// if it was not heard, its range, m, NaN without one, whether that was not fused, and heading, rad, and speed, m/s, of its command.
 #[pyfunction]
 pub(crate) fn ros_markers(
@@ -82,7 +82,7 @@ pub(crate) fn ros_markers(
     markers(position_m, &covariance_m2.into(), &robots).into_iter().map(drawn).collect()
 }
 
-/// What ROS's diagnostics say of a tick: level, name and message of the status, and its keys and values. `sent_ns` are the stamps of the last
+/// The diagnostics of a tick for ROS: level, name and message of the status, and its keys and values. `sent_ns` are the stamps of the last
 /// measurement and of the headings, `rejected` is the number since the last status.
 #[pyfunction]
 #[pyo3(signature = (*, tick, ticks, fused, missing, rejected, silent, distrusted, sent_ns, trace_m2))]

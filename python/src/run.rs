@@ -10,7 +10,7 @@ use rangehound::results::frame::{Frames, LoggedTick};
 use rangehound::results::report::{ReportBuilder, Truth, read_nodes};
 use rangehound::run::folder::read_description;
 use rangehound::run::in_process::{Parts, Team};
-use rangehound::study::compare::yardstick::{Distance, Yardstick};
+use rangehound::study::compare::certified_reference::{CertifiedReference, Distance};
 use rangehound_fusion::planner::PlannerError;
 use rangehound_shared::measurement::Kind;
 use rangehound_shared::message::Command;
@@ -82,7 +82,7 @@ impl History {
         self
     }
 
-    /// Adds a tick. What no node has recorded is NaN, or zero if it is a count.
+    /// Adds a tick. A value that no node has recorded is NaN, or zero if it is a count.
     pub(crate) fn add(&mut self, logged: LoggedTick<'_>) {
         let LoggedTick { tick, fusion, world } = logged;
         let n = self.state_dim;
@@ -204,7 +204,7 @@ struct Stepped<'a> {
     world: WorldRecord,
     history: History,
     report: ReportBuilder<'a>,
-    yardstick: Option<Yardstick>,
+    reference: Option<CertifiedReference>,
     raised: Raised,
 }
 
@@ -222,9 +222,9 @@ impl Stepped<'_> {
             let logged = LoggedTick { tick: self.next, fusion: Some(&self.fusion), world: Some(&self.world) };
             self.history.add(logged);
             self.report.add(logged);
-            if let Some(yardstick) = &mut self.yardstick {
+            if let Some(reference) = &mut self.reference {
                 let centre = self.team.centre();
-                self.history.add_distance(yardstick.measure(centre.situation(), centre.last_plan()));
+                self.history.add_distance(reference.measure(centre.situation(), centre.last_plan()));
             }
             self.team.advance();
             self.next += 1;
@@ -291,7 +291,7 @@ pub(crate) fn simulate<'py>(
         world: WorldRecord::of(scenario),
         history: History::of(scenario).with_room_for(scenario.ticks + 1),
         report: ReportBuilder::new(truth.as_ref()).map_err(failed)?,
-        yardstick: gap.then(|| Yardstick::for_robots(robots)).transpose().map_err(input)?,
+        reference: gap.then(|| CertifiedReference::for_robots(robots)).transpose().map_err(input)?,
         raised: raised.clone(),
     };
     while py.detach(|| run.turn()).map_err(failed)? {

@@ -3,7 +3,7 @@
 use numpy::PyArrayDyn;
 use pyo3::prelude::*;
 use pyo3::types::PyTuple;
-use rangehound::study::compare::yardstick::{Distance, Yardstick};
+use rangehound::study::compare::certified_reference::{CertifiedReference, Distance};
 use rangehound_fusion::planner::{self as planners, Custom, Planner, PlannerError, hull_certificate};
 use rangehound_fusion::planner::{Situation as Seen, TeamMember};
 use rangehound_shared::message::Command;
@@ -13,7 +13,7 @@ use crate::arrays::{Numbers, array};
 use crate::errors::{Raised, input};
 use crate::plan::Plan;
 
-/// What a planner sees before a step.
+/// The inputs of a planner before a step.
 #[pyclass(frozen, module = "rangehound._native")]
 pub(crate) struct Situation {
     tick: u64,
@@ -124,7 +124,7 @@ impl Situation {
         Ok(Plan::of_parts(spec.name(), &plan, certificate, plan_us))
     }
 
-    /// What headings (M,), rad, and speeds (M,), m/s, are worth: `(objective, position trace in m^2, gap to the certified
+    /// The worth of headings (M,), rad, and speeds (M,), m/s: `(objective, position trace in m^2, gap to the certified
     /// optimum)`.
     #[pyo3(signature = (headings_rad, speeds_mps=None))]
     fn worth(
@@ -139,7 +139,7 @@ impl Situation {
         let mut planner = Custom::new(robots, move |_, _, chosen| chosen.copy_from_slice(&commands)).map_err(input)?;
         let mut plan = planners::Plan::default();
         planner.plan(self.tick, &self.seen, &mut plan);
-        let Distance { gap, .. } = Yardstick::for_robots(robots).map_err(input)?.measure(&self.seen, &plan);
+        let Distance { gap, .. } = CertifiedReference::for_robots(robots).map_err(input)?.measure(&self.seen, &plan);
         Ok((plan.worth.objective, plan.worth.position_trace_m2, gap))
     }
 

@@ -161,7 +161,7 @@ pub(crate) fn calibrate(
             let worker = std::thread::Builder::new().name("calibrate".to_owned()).spawn_scoped(scope, work);
             let worker = worker.map_err(|error| failed(anyhow::Error::from(error)))?;
             while !worker.is_finished() {
-                std::thread::sleep(LOOK);
+                std::thread::sleep(PROGRESS_INTERVAL);
                 look().inspect_err(|_| is_wanted.store(false, Ordering::Relaxed))?;
             }
             worker.join().map_err(|_| failed(anyhow::anyhow!("the calibration panicked: please report this")))
@@ -172,7 +172,7 @@ pub(crate) fn calibrate(
 }
 
 /// How long a fit goes on until Python can act on signals and show progress.
-const LOOK: Duration = Duration::from_millis(10);
+const PROGRESS_INTERVAL: Duration = Duration::from_millis(10);
 
 /// Models that are fitted.
 const MODELS: usize = rangehound::study::calibrate::model::Model::ALL.len();

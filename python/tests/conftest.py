@@ -1,4 +1,4 @@
-"""What the tests share."""
+"""The fixtures of the tests."""
 
 import os
 import pathlib
@@ -71,9 +71,9 @@ def by_hand(program, name, tmp_path):
 
     def start(*nodes, scripts=(), scenario=None, **keys):
         (tmp_path / "scenario.toml").write_text(rh.Scenario(scenario, **keys).to_toml())
-        for words in nodes:
-            first = ["scenario.toml", "--out", "out"] if words[0] == "sim" else []
-            started.append(subprocess.Popen([program, *words, *first, "--name", name], cwd=tmp_path, stderr=subprocess.DEVNULL))
+        for args in nodes:
+            first = ["scenario.toml", "--out", "out"] if args[0] == "sim" else []
+            started.append(subprocess.Popen([program, *args, *first, "--name", name], cwd=tmp_path, stderr=subprocess.DEVNULL))
         for script in scripts:
             pipes = dict(stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
             text = f"import rangehound as rh\nname = {name!r}\n{script}"
@@ -96,9 +96,9 @@ def command():
     """Starts `python -m rangehound.NAME` with flags; ends what is left of them."""
     started = []
 
-    def start(name, *words):
+    def start(name, *args):
         pipes = dict(stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-        started.append(subprocess.Popen([sys.executable, "-m", f"rangehound.{name}", *map(str, words)], cwd="/", **pipes))
+        started.append(subprocess.Popen([sys.executable, "-m", f"rangehound.{name}", *map(str, args)], cwd="/", **pipes))
         return started[-1]
 
     yield start

@@ -30,8 +30,8 @@ def plain(value):
 
 def main():
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
-    words = [word for word in sys.argv[1:] if word != "use_sim_time"]
-    node = Node("listener", parameter_overrides=[Parameter("use_sim_time", value=len(words) < len(sys.argv) - 1)])
+    args = [arg for arg in sys.argv[1:] if arg != "use_sim_time"]
+    node = Node("listener", parameter_overrides=[Parameter("use_sim_time", value=len(args) < len(sys.argv) - 1)])
     heard = {}
 
     def hear(topic, message):
@@ -39,8 +39,8 @@ def main():
             print("first", flush=True)
         heard[topic].append(message)
 
-    for word in words:
-        topic, _, kind = word.partition("=")
+    for arg in args:
+        topic, _, kind = arg.partition("=")
         package, _, name = kind.partition("/")
         heard[topic] = []
         best_effort = ReliabilityPolicy.BEST_EFFORT if topic == "/clock" else ReliabilityPolicy.RELIABLE
@@ -52,8 +52,8 @@ def main():
     while count < (count := sum(map(len, heard.values()))):
         for _ in range(200):
             executor.spin_once(timeout_sec=0.005)
-    said = {topic: [plain(message) for message in messages] for topic, messages in heard.items()}
-    print(json.dumps({**said, "now_s": node.get_clock().now().nanoseconds * 1e-9}), flush=True)
+    messages_by_topic = {topic: [plain(message) for message in messages] for topic, messages in heard.items()}
+    print(json.dumps({**messages_by_topic, "now_s": node.get_clock().now().nanoseconds * 1e-9}), flush=True)
 
 
 main()

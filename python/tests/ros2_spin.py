@@ -1,4 +1,4 @@
-"""What the processes share that know ROS alone."""
+"""The common parts of the processes that know ROS alone."""
 
 import signal
 

@@ -29,8 +29,8 @@ TYPES = {
 }
 
 
-def call(program, folder, *words):
-    done = subprocess.run([program, *map(str, words)], capture_output=True, text=True, timeout=120, cwd=folder)
+def call(program, folder, *args):
+    done = subprocess.run([program, *map(str, args)], capture_output=True, text=True, timeout=120, cwd=folder)
     assert done.returncode == 0, done
     return done.stdout
 

@@ -84,8 +84,8 @@ def test_the_package_is_typed_without_a_contradiction(tmp_path):
     mypy = pytest.importorskip("mypy.api")
     folder = pathlib.Path(rh.__file__).parent
     assert (folder / "py.typed").exists()
-    said, problem, code = mypy.run(["--cache-dir", str(tmp_path), "--ignore-missing-imports", "--disable-error-code=import-untyped", str(ROOT / "python/rangehound")])
-    assert code == 0, said + problem
+    output, problem, code = mypy.run(["--cache-dir", str(tmp_path), "--ignore-missing-imports", "--disable-error-code=import-untyped", str(ROOT / "python/rangehound")])
+    assert code == 0, output + problem
 
 
 def test_the_stubs_have_the_signatures_of_the_native_half(tmp_path):
@@ -97,7 +97,7 @@ def test_the_stubs_have_the_signatures_of_the_native_half(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("thing", "said"),
+    ("thing", "expected"),
     [
         (rh.plan, ["(2, 2)", "(M, 2)", "rad", "m^2", "^-1"]),
         (rh.Filter, ["(n,)", "(n, n)", "P'^-1"]),
@@ -108,6 +108,6 @@ def test_the_stubs_have_the_signatures_of_the_native_half(tmp_path):
     ],
     ids=lambda thing: getattr(thing, "__name__", ""),
 )
-def test_docstrings_have_shapes_units_and_equations(thing, said):
+def test_docstrings_have_shapes_units_and_equations(thing, expected):
     text = inspect.getdoc(thing)
-    assert [part for part in said if part not in text] == []
+    assert [part for part in expected if part not in text] == []

@@ -54,7 +54,7 @@ def test_a_sensor_and_a_target_are_functions_of_all_planners_and_those_of_simula
         rh.compare(planners=["greedy"], runs=50, ticks=40, target=lost)
 
 
-def test_what_a_function_raises_ends_all_runs():
+def test_an_exception_of_a_function_ends_all_runs():
     def broken(situation):
         if situation.tick == 30:
             raise LookupError("lost")
@@ -65,7 +65,7 @@ def test_what_a_function_raises_ends_all_runs():
 
 
 @pytest.mark.parametrize(
-    ("given", "said"),
+    ("given", "message"),
     [
         (dict(planners=["best"]), 'planners has "best": expected functions, or names'),
         (dict(planners=["greedy", "greedy", len]), "built-in|shape|headings|no array|has no len"),
@@ -74,8 +74,8 @@ def test_what_a_function_raises_ends_all_runs():
         (dict(planners=[]), "nothing to compare"),
     ],
 )
-def test_faults_are_one_line(given, said):
-    with pytest.raises((rh.InputError, rh.RunError, TypeError), match=said):
+def test_faults_are_one_line(given, message):
+    with pytest.raises((rh.InputError, rh.RunError, TypeError), match=message):
         rh.compare(**{"runs": 2, "ticks": 5, **given})
 
 

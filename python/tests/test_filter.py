@@ -54,7 +54,7 @@ def test_robots_without_a_range_are_left_out():
 
 
 @pytest.mark.parametrize(
-    ("given", "said"),
+    ("given", "message"),
     [
         (dict(ranges_m=[1, 2]), r"ranges_m has the shape \[2\]: expected \[3\]"),
         (dict(ranges_m=[1, 2, np.inf]), "ranges_m has inf"),
@@ -64,8 +64,8 @@ def test_robots_without_a_range_are_left_out():
         (dict(time_s=3.0), "steps all last dt_s"),
     ],
 )
-def test_faults_name_the_argument(given, said):
-    with pytest.raises(rh.InputError, match=said):
+def test_faults_name_the_argument(given, message):
+    with pytest.raises(rh.InputError, match=message):
         rh.Filter().step(**given)
 
 

@@ -105,7 +105,7 @@ def test_an_observer_ends_when_all_processes_of_its_run_have_been_killed(program
         for node in nodes:
             os.kill(node["pid"], signal.SIGKILL)
         assert nodes[0]["name"] == "run" and len(list(ticks)) < 90_000
-    # The next founder removes what they have left.
+    # The next creator removes what they have left.
     with rh.run(name=name, out=tmp_path / "next", program=program, ticks=3) as run:
         run.report()
 
@@ -167,9 +167,9 @@ def test_a_robot_that_was_refused_can_be_run_again_in_the_same_process(by_hand, 
     )
     *_, other, robot = by_hand(["sim"], *robots(0, 1), scripts=["rh.fusion(name)", script], ticks=50, clock="lockstep", timeout_s="forever")
     out, err = robot.communicate()
-    said = out.splitlines()
-    assert [line for line in said if "expected 0 to 2" in line] == said[:1], (out, err)
-    assert "robot-1" in said[1] and "has been a node before" in said[2] and len(said) == 3, said
+    lines = out.splitlines()
+    assert [line for line in lines if "expected 0 to 2" in line] == lines[:1], (out, err)
+    assert "robot-1" in lines[1] and "has been a node before" in lines[2] and len(lines) == 3, lines
 
 
 def test_a_killed_python_robot_is_replaced_and_changes_no_bit(by_hand, name, tmp_path):
@@ -235,7 +235,7 @@ def test_faults_of_a_radio_are_one_line(by_hand, name, python):
         rh.Robot(name, 0, radio=rh.Radio("/dev/null"), measure=print)
 
 
-def test_what_the_function_of_a_robot_raises_ends_it_and_the_run_goes_on_without(by_hand, name, tmp_path):
+def test_an_exception_of_a_robots_function_ends_it_and_the_run_goes_on_without(by_hand, name, tmp_path):
     script = "def measure(robot, tick, *_): return 1 / (20 - tick)\nrh.Robot(name, 2, measure=measure).run()"
     sim, fusion, _, _, robot = by_hand(["sim"], ["fusion"], *robots(0, 1), scripts=[script], ticks=60, timeout_s=0.3, clock="lockstep")
     _, err = robot.communicate()
@@ -355,7 +355,7 @@ def test_a_run_is_led_by_a_function_also_after_its_process_was_killed(program, n
     assert digest == rh.simulate(rh.Scenario(**keys), planner=own, gap=False).digest
 
 
-def test_what_the_planner_of_a_run_raises_ends_the_run_and_is_told(program, name, tmp_path):
+def test_an_exception_of_a_runs_planner_ends_the_run_and_is_reported(program, name, tmp_path):
     def broken(situation):
         if situation.tick == 20:
             raise LookupError("lost")

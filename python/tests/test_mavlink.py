@@ -56,7 +56,7 @@ class Autopilot(threading.Thread):
 
     @property
     def speed_mps(self):
-        """What it drives now."""
+        """Its present speed."""
         return math.hypot(*self.velocity) if self.drives() else 0.0
 
     def drives(self):
@@ -153,11 +153,11 @@ def play():
 def one_vehicle(by_hand, command, name, play):
     """A run with a vehicle as robot 2 and a simulated target: the autopilot, our process, and a way to start another."""
 
-    def start(*words, keys=(), **what):
+    def start(*args, keys=(), **what):
         keys = dict(ticks=100_000, dt_s=0.1, clock="realtime") | dict(keys)
         started = by_hand(["sim"], ["fusion"], ["robot", "--id", "0"], ["robot", "--id", "1"], **keys)
         autopilot, address = play(**what)
-        again = lambda: command("mavlink", "--name", name, "--id", 2, "--connect", address, *words)  # noqa: E731
+        again = lambda: command("mavlink", "--name", name, "--id", 2, "--connect", address, *args)  # noqa: E731
         return autopilot, again(), again, started
 
     return start
@@ -175,10 +175,10 @@ def test_three_vehicles_track_a_target_that_only_they_measure(by_hand, command, 
     by_hand(["sim"], ["fusion"], scenario=scenario, ticks=200, dt_s=0.1, clock="realtime", timeout_s=2.0)
     kinds = [(ARDUPILOT, True, ()), (PX4, False, ("--arm",)), (ARDUPILOT, True, ())]
     processes, autopilots = [], []
-    for id, (start_m, (kind, ready, words)) in enumerate(zip(starts_m, kinds)):
+    for id, (start_m, (kind, ready, args)) in enumerate(zip(starts_m, kinds)):
         autopilot, address = play(system=id + 1, kind=kind, place_m=start_m, target=target, armed=ready, guided=ready)
         offset = f"--offset={start_m[0]},{start_m[1]}"
-        flags = ["--name", name, "--id", id, "--connect", address, "--range-id", RANGE_ID, offset, *words]
+        flags = ["--name", name, "--id", id, "--connect", address, "--range-id", RANGE_ID, offset, *args]
         processes.append(command("mavlink", *flags))
         autopilots.append(autopilot)
     errors_m, deviations_m = [], []
@@ -220,8 +220,8 @@ def test_nothing_drives_before_the_vehicle_is_armed_and_in_its_mode(one_vehicle)
     _, err = process.communicate()
     assert process.returncode == 0, err
     until(lambda: autopilot.setpoints[-1][1] == 0)
-    said = [line for line in err.splitlines() if line.startswith("mavlink: ")]
-    assert any("is not armed" in line for line in said) and any("nothing drives until it is in GUIDED" in line for line in said)
+    lines = [line for line in err.splitlines() if line.startswith("mavlink: ")]
+    assert any("is not armed" in line for line in lines) and any("nothing drives until it is in GUIDED" in line for line in lines)
     assert {32, 132} <= autopilot.asked
 
 
@@ -241,9 +241,9 @@ def test_a_vehicle_over_tcp_is_found_again_after_its_end_was_closed(one_vehicle,
     autopilot, process, _, _ = one_vehicle(over="tcp")
     until(lambda: autopilot.speed_mps > 0)
     autopilot.stop()
-    said = ""
-    while "link to vehicle 1 is lost" not in said:
-        said = process.stderr.readline()
+    line = ""
+    while "link to vehicle 1 is lost" not in line:
+        line = process.stderr.readline()
     # Without an end that answers it waits; it does not spin.
     used = lambda: sum(map(int, open(f"/proc/{process.pid}/stat").read().rpartition(")")[2].split()[11:13]))  # noqa: E731
     before = used()
@@ -291,9 +291,9 @@ def test_a_robot_whose_link_is_lost_stops_and_comes_back(one_vehicle):
     until(lambda: autopilot.speed_mps > 0)
     autopilot.cut = True
     until(lambda: autopilot.timeouts == 1)
-    said = ""
-    while "link to vehicle 1 is lost" not in said:
-        said = process.stderr.readline()
+    line = ""
+    while "link to vehicle 1 is lost" not in line:
+        line = process.stderr.readline()
     autopilot.cut = False
     until(lambda: autopilot.speed_mps > 0)
 
@@ -441,7 +441,7 @@ def test_faults_of_flags_are_one_line(command, name, python):
     assert done.returncode == 2 and done.stderr.count("\n") == 1 and "pip install 'rangehound[mavlink]'" in done.stderr
     pytest.importorskip("pymavlink", reason="pymavlink is not installed")
     address = ["--name", name, "--id", 0, "--connect", "udpin:127.0.0.1:0"]
-    for words, expected in (
+    for args, expected in (
         (["--rate", 1], "--rate is 1.0: expected 2 to 50 Hz"),
         (["--pose-std", "nan"], "--pose-std is nan"),
         (["--origin", "91,0"], "expected a latitude"),
@@ -449,7 +449,7 @@ def test_faults_of_flags_are_one_line(command, name, python):
         (["--range-id", 1, "--radio", "x"], "not allowed with"),
         ([], f"no run {name} after 10 s"),
     ):
-        process = command("mavlink", *address, *words)
+        process = command("mavlink", *address, *args)
         out, err = process.communicate()
         assert (process.returncode, out, err.count("\n")) == (2, "", 1) and expected in err, err
 

@@ -44,7 +44,7 @@ def test_a_notebook_runs_and_is_stored_without_output(path, program, monkeypatch
     began_s = time.monotonic()
     nbclient.NotebookClient(notebook, timeout=120, kernel_name="python3").execute(cwd="/")
     times[path.stem] = round(time.monotonic() - began_s, 1)
-    said = [output for cell in notebook.cells if cell.cell_type == "code" for output in cell.outputs]
-    shown = "".join(output["text"] for output in said if output.get("name") == "stderr")
+    outputs = [output for cell in notebook.cells if cell.cell_type == "code" for output in cell.outputs]
+    shown = "".join(output["text"] for output in outputs if output.get("name") == "stderr")
     assert "Warning" not in shown and "Error" not in shown, shown
     assert path.stem != "paper" or sum(cell.cell_type == "code" for cell in notebook.cells) == 10

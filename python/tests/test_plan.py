@@ -44,7 +44,7 @@ def test_nan_gives_a_robot_no_such_sensor():
 
 
 @pytest.mark.parametrize(
-    ("wrong", "said"),
+    ("wrong", "message"),
     [
         ({"target": [0, 0, 0]}, r"target has the shape \[3\]: expected \[2\]"),
         ({"range_std": [1, 1]}, r"range_std has the shape \[2\]: expected \[3\]"),
@@ -55,8 +55,8 @@ def test_nan_gives_a_robot_no_such_sensor():
         ({"criterion": "none"}, "criterion is"),
     ],
 )
-def test_faults_name_the_argument(wrong, said):
-    with pytest.raises(rh.InputError, match=said):
+def test_faults_name_the_argument(wrong, message):
+    with pytest.raises(rh.InputError, match=message):
         rh.plan(**{**PROBLEM, **wrong})
 
 

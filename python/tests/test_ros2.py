@@ -46,9 +46,9 @@ def ros(tmp_path):
            "FASTDDS_DEFAULT_PROFILES_FILE": str(HERE / "ros2_loopback.xml"), "RMW_IMPLEMENTATION": "rmw_fastrtps_cpp",
            "ROS_LOG_DIR": str(tmp_path / "log"), "PYTHONUNBUFFERED": "1"}
 
-    def start(*words, waits=False):
+    def start(*args, waits=False):
         pipes = dict(stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-        started.append(subprocess.Popen([sys.executable, *map(str, words)], cwd=tmp_path, env={**os.environ, **own}, **pipes))
+        started.append(subprocess.Popen([sys.executable, *map(str, args)], cwd=tmp_path, env={**os.environ, **own}, **pipes))
         if waits:
             assert started[-1].stdout.readline() == "ready\n", started[-1].stderr.read()
         return started[-1]
@@ -66,13 +66,13 @@ def ros(tmp_path):
         (pathlib.Path("/dev/shm") / file).unlink(missing_ok=True)
 
 
-def node(ros, name, *words):
-    return ros("-m", "rangehound.ros2", "--name", name, *words)
+def node(ros, name, *args):
+    return ros("-m", "rangehound.ros2", "--name", name, *args)
 
 
 def listener(ros, *flags, **topics):
-    words = [f"/{topic.replace('__', '/')}={kind}" for topic, kind in topics.items()]
-    return ros(HERE / "ros2_listener.py", *flags, *words, waits=True)
+    args = [f"/{topic.replace('__', '/')}={kind}" for topic, kind in topics.items()]
+    return ros(HERE / "ros2_listener.py", *flags, *args, waits=True)
 
 
 def heard(process):
@@ -98,11 +98,11 @@ def children(process):
     found = {}
     for folder in pathlib.Path("/proc").glob("[0-9]*"):
         try:
-            words = (folder / "cmdline").read_bytes().decode().split("\0")
+            args = (folder / "cmdline").read_bytes().decode().split("\0")
         except OSError:
             continue
-        if "rangehound.ros2.robot" in words and words[words.index("--end-with") + 1] == str(process.pid):
-            found[int(words[words.index("--id") + 1])] = int(folder.name)
+        if "rangehound.ros2.robot" in args and args[args.index("--end-with") + 1] == str(process.pid):
+            found[int(args[args.index("--id") + 1])] = int(folder.name)
     return found
 
 
@@ -255,10 +255,10 @@ def test_simulated_robots_have_all_topics_and_the_run_ends_the_node(program, nam
         assert ears.stdout.readline() == "first\n"
         time.sleep(3)
         run.stop()
-        said = ended(watched)
+        output = ended(watched)
     got = heard(ears)
     if importlib.util.find_spec("tf2_msgs") is None:
-        assert said.count("tf2_msgs is not installed: /tf is not published") == 1, said
+        assert output.count("tf2_msgs is not installed: /tf is not published") == 1, output
     live = rh.load(tmp_path / "out")
     newest = int(round((seconds(got["/team/target/pose"][-1]) - 1.0) / 0.1))
     assert newest == len(live) - 1 and got["/team/target/pose"][0]["header"]["frame_id"] == "world"
@@ -302,11 +302,11 @@ def test_in_real_time_a_robot_without_odometry_stops_and_bad_ranges_are_refused(
     with rh.run(name=name, out=tmp_path / "out", program=program, ticks=80, clock="realtime", external=[2]) as run:
         bridge = node(ros, name, "--robots", "2")
         report = run.report()
-    said = ended(bridge)
+    output = ended(bridge)
     twists = json.loads(robot.communicate(timeout=60)[0])
     assert report["ticks"] == 80
     for cause in ("NaN", "negative", "nothing was detected", "max_range 100 m"):
-        assert said.count(cause) == 1, said
+        assert output.count(cause) == 1, output
     live = rh.load(tmp_path / "out")
     assert np.isnan(live.range_m[:, 2]).all() and np.nanmax(np.abs(live.believed_m[5:-3, 2] - [15.0, 0.0])) == 0.0
     assert any(twist != [0.0, 0.0] for twist in twists) and twists[-1] == [0.0, 0.0]
@@ -351,7 +351,7 @@ def test_the_quality_of_service_of_one_topic_is_overridden_and_no_other(ros):
 
 
 @pytest.mark.parametrize(
-    "words, cause",
+    "args, cause",
     [
         (["--robots", "7"], "expected all, or robots from 0 to 2"),
         (["--ros-args", "-p", "markers_rate_hz:=-1.0"], "markers_rate_hz is -1.0: expected a finite number that is not negative"),
@@ -359,16 +359,16 @@ def test_the_quality_of_service_of_one_topic_is_overridden_and_no_other(ros):
         (["--ros-args", "-r", "nonsense"], "--ros-args"),
     ],
 )
-def test_wrong_words_are_refused_with_the_cause(program, name, ros, tmp_path, words, cause):
+def test_wrong_arguments_are_refused_with_the_cause(program, name, ros, tmp_path, args, cause):
     with rh.run(name=name, out=tmp_path / "out", program=program, ticks=10_000):
-        bridge = node(ros, name, *words)
-        said = ended(bridge, code=2)
-    assert cause in said and "Traceback" not in said, said
+        bridge = node(ros, name, *args)
+        output = ended(bridge, code=2)
+    assert cause in output and "Traceback" not in output, output
 
 
 def test_a_run_that_is_not_there_is_one_line_and_signals_end_the_node(program, name, ros, tmp_path):
-    said = ended(node(ros, name, "--wait-s", "0.2"), code=2)
-    assert f"no run {name} after 0.2 s" in said
+    output = ended(node(ros, name, "--wait-s", "0.2"), code=2)
+    assert f"no run {name} after 0.2 s" in output
     with rh.run(name=name, out=tmp_path / "out", program=program, ticks=10_000) as run:
         for number in (signal.SIGINT, signal.SIGTERM):
             ears = listener(ros, target__pose=POSE)
@@ -425,7 +425,7 @@ def plain(value):
     return value.tolist() if isinstance(value, np.ndarray) else value
 
 
-def test_diagnostics_tell_who_is_gone_and_what_was_rejected(program, name, ros, by_hand, tmp_path):
+def test_diagnostics_name_silent_robots_and_count_rejected_measurements(program, name, ros, by_hand, tmp_path):
     """Nobody starts the killed robot again, which is one of ours. Another one measures nonsense now and then."""
     outliers = "rh.Robot(name, 2, measure=lambda robot, tick, range_m, _: range_m + (50.0 if tick % 3 == 0 else 0.0)).run()"
     ears = listener(ros, diagnostics="diagnostic_msgs/DiagnosticArray")
@@ -442,7 +442,7 @@ def test_diagnostics_tell_who_is_gone_and_what_was_rejected(program, name, ros, 
             if tick.tick >= killed_at + 60:
                 break
         run.stop()
-        # What others have started ends with the run.
+        # Processes that others have started end with the run.
         assert other.wait(timeout=60) == 0
         ended(watched)
     statuses = [status for message in heard(ears)["/diagnostics"] for status in message["status"]]

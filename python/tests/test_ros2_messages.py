@@ -1,4 +1,4 @@
-"""What the node of ROS 2 computes, without ROS: messages of a tick, measurements of messages, the controller."""
+"""The computations of the node of ROS 2, without ROS: messages of a tick, measurements of messages, the controller."""
 
 import math
 import re
@@ -186,8 +186,8 @@ def test_robots_are_named_by_numbers_and_ranges():
 
 
 def test_words_after_ros_args_are_for_ros():
-    words = ["--name", "a", "--ros-args", "-p", "x:=1", "--", "--from-start"]
-    assert session.split_ros_args(words) == (["--name", "a", "--from-start"], ["--ros-args", "-p", "x:=1"])
+    args = ["--name", "a", "--ros-args", "-p", "x:=1", "--", "--from-start"]
+    assert session.split_ros_args(args) == (["--name", "a", "--from-start"], ["--ros-args", "-p", "x:=1"])
     assert session.split_ros_args(["--name", "a"]) == (["--name", "a"], [])
 
 

@@ -33,7 +33,7 @@ def test_a_scenario_survives_pickling():
 
 
 @pytest.mark.parametrize(
-    ("keys", "said"),
+    ("keys", "message"),
     [
         ({"tiks": 3}, "unknown field `tiks` in the scenario, key tiks: expected one of"),
         ({"ticks": -3}, "key ticks: expected a whole number"),
@@ -43,10 +43,10 @@ def test_a_scenario_survives_pickling():
         ({"robots": {"speed_mps": object()}}, "a object is given: expected numbers"),
     ],
 )
-def test_faults_are_one_line_that_names_the_key(keys, said):
+def test_faults_are_one_line_that_names_the_key(keys, message):
     with pytest.raises(rh.InputError) as error:
         rh.Scenario(keys)
-    assert said in str(error.value) and "\n" not in str(error.value)
+    assert message in str(error.value) and "\n" not in str(error.value)
     assert isinstance(error.value, ValueError)
 
 

@@ -118,7 +118,7 @@ def test_a_target_that_is_a_function_moves_so():
 
 
 @pytest.mark.parametrize(
-    ("planner", "said"),
+    ("planner", "message"),
     [
         (lambda s: [0.0], "has 1 headings: expected 3 finite headings"),
         (lambda s: [0.0, np.nan, 0.0], "has NaN rad, 10 m/s for robot 1: expected"),
@@ -126,12 +126,12 @@ def test_a_target_that_is_a_function_moves_so():
         (lambda s: None, "is not an array of numbers|has 1 headings"),
     ],
 )
-def test_an_answer_that_is_no_headings_is_refused(planner, said):
-    with pytest.raises(rh.InputError, match=said):
+def test_an_answer_that_is_no_headings_is_refused(planner, message):
+    with pytest.raises(rh.InputError, match=message):
         rh.simulate(ticks=5, planner=planner)
 
 
-def test_what_a_function_raises_is_raised_and_it_is_not_called_again():
+def test_an_exception_of_a_function_is_raised_and_it_is_not_called_again():
     calls = []
 
     def broken(*_):

@@ -28,8 +28,8 @@ def foxglove(command, name):
     pytest.importorskip("foxglove", reason="foxglove-sdk is not installed")
     pytest.importorskip("websockets", reason="websockets is not installed")
 
-    def start(*words):
-        server = command("foxglove", "--name", name, "--port", 0, *words)
+    def start(*args):
+        server = command("foxglove", "--name", name, "--port", 0, *args)
         line = server.stdout.readline()
         found = re.fullmatch(rf"run {name}: in Foxglove, open the connection (ws://127.0.0.1:\d+), or https?://\S+\n", line)
         assert found, line + server.stderr.read()
@@ -46,9 +46,9 @@ def subscribed(address, topics=TOPICS):
     with connect(address, subprotocols=["foxglove.sdk.v1"], max_size=None, close_timeout=1) as client:
         channels = {}
         while set(channels) < topics:
-            said = client.recv(timeout=60)
-            if isinstance(said, str) and json.loads(said)["op"] == "advertise":
-                channels.update({channel["topic"]: channel for channel in json.loads(said)["channels"]})
+            data = client.recv(timeout=60)
+            if isinstance(data, str) and json.loads(data)["op"] == "advertise":
+                channels.update({channel["topic"]: channel for channel in json.loads(data)["channels"]})
         wanted = [{"id": channels[topic]["id"], "channelId": channels[topic]["id"]} for topic in topics]
         client.send(json.dumps({"op": "subscribe", "subscriptions": wanted}))
         yield client, channels
@@ -62,12 +62,12 @@ def received(client, channels, enough=None):
     messages, times = [], []
     try:
         while enough is None or len(messages) < enough:
-            said = client.recv(timeout=60)
-            if isinstance(said, bytes) and said[0] == 1:
-                subscription, time_ns = struct.unpack_from("<IQ", said, 1)
-                messages.append((topics[subscription], time_ns, said[13:]))
-            elif isinstance(said, bytes) and said[0] == 2:
-                times.append(struct.unpack_from("<Q", said, 1)[0])
+            data = client.recv(timeout=60)
+            if isinstance(data, bytes) and data[0] == 1:
+                subscription, time_ns = struct.unpack_from("<IQ", data, 1)
+                messages.append((topics[subscription], time_ns, data[13:]))
+            elif isinstance(data, bytes) and data[0] == 2:
+                times.append(struct.unpack_from("<Q", data, 1)[0])
     except ConnectionClosed:
         pass
     return messages, times
@@ -158,10 +158,10 @@ def test_a_client_may_come_go_and_come_back(foxglove, name, program, tmp_path):
         last_ns = -1
         for _ in range(3):
             with subscribed(address, {"/estimate"}) as (client, _):
-                said = ""
-                while isinstance(said, str) or said[0] != 1:
-                    said = client.recv(timeout=60)
-            time_ns = struct.unpack_from("<Q", said, 5)[0]
+                data = ""
+                while isinstance(data, str) or data[0] != 1:
+                    data = client.recv(timeout=60)
+            time_ns = struct.unpack_from("<Q", data, 5)[0]
             assert time_ns > last_ns
             last_ns = time_ns
             time.sleep(0.3)
@@ -220,31 +220,31 @@ def test_a_run_in_rerun_has_estimates_field_and_both_timelines(command, root, na
 
 
 def test_faults_of_viewers_are_one_line(command, name, python, tmp_path):
-    def said(*words):
-        process = command(*words)
+    def error_of(*args):
+        process = command(*args)
         out, err = process.communicate()
-        assert (process.returncode, out, err.count("\n")) == (2, "", 1), (words, out, err)
+        assert (process.returncode, out, err.count("\n")) == (2, "", 1), (args, out, err)
         return err
 
     for viewer, package in (("foxglove", "foxglove"), ("rerun", "rerun")):
         hidden = f"import sys, runpy; sys.modules['{package}'] = None; sys.argv[1:] = ['--name', 'x']; runpy.run_module('rangehound.{viewer}', run_name='__main__')"
         done = python(hidden)
         assert done.returncode == 2 and done.stderr == f"python -m rangehound.{viewer}: {package} is not installed: install it with pip install 'rangehound[{viewer}]'\n"
-        assert "--name" in said(viewer)
+        assert "--name" in error_of(viewer)
     pytest.importorskip("foxglove", reason="foxglove-sdk is not installed")
-    assert said("foxglove", "--name", name).endswith(f"no run {name} after 10 s: expected a run that has been started\n")
-    assert "name" in said("foxglove", "--name", "a/b")
+    assert error_of("foxglove", "--name", name).endswith(f"no run {name} after 10 s: expected a run that has been started\n")
+    assert "name" in error_of("foxglove", "--name", "a/b")
     pytest.importorskip("rerun", reason="rerun-sdk is not installed")
     there = tmp_path / "there.rrd"
     there.write_text("mine")
-    assert "exists already (--save)" in said("rerun", "--name", name, "--save", there)
+    assert "exists already (--save)" in error_of("rerun", "--name", name, "--save", there)
 
 
 def test_a_viewer_that_is_not_there_is_one_line(command, name, program, tmp_path):
     pytest.importorskip("rerun", reason="rerun-sdk is not installed")
     with rh.run(name=name, out=tmp_path / "out", program=program, ticks=100_000):
-        for words in (["--connect", "rerun+http://127.0.0.1:1/proxy"], ["--connect", "nowhere"], ["--save", "/none/x.rrd"]):
-            viewer = command("rerun", "--name", name, *words)
+        for args in (["--connect", "rerun+http://127.0.0.1:1/proxy"], ["--connect", "nowhere"], ["--save", "/none/x.rrd"]):
+            viewer = command("rerun", "--name", name, *args)
             _, err = viewer.communicate()
             lines = [line for line in err.splitlines() if line.startswith("python -m")]
             assert viewer.returncode == 2 and len(lines) == 1 and "Rerun cannot be used: expected a viewer" in lines[0], err
@@ -280,8 +280,8 @@ def test_a_viewer_that_takes_nothing_does_not_hold_the_command(command, name, pr
         _, err = viewer.communicate()
         for line in lines:
             line.close()
-    said = [line for line in err.splitlines() if line.startswith("python -m")]
-    assert viewer.returncode == 1 and len(said) == 1 and "has not taken all ticks" in said[0], err
+    complaints = [line for line in err.splitlines() if line.startswith("python -m")]
+    assert viewer.returncode == 1 and len(complaints) == 1 and "has not taken all ticks" in complaints[0], err
 
 
 def test_a_port_that_is_taken_is_one_line(foxglove, command, name, program, tmp_path):

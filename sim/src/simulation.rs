@@ -23,7 +23,7 @@ pub trait TargetMotion: std::fmt::Debug + Send {
 /// A target with a state of dimension `N`, and the robots.
 ///
 /// The target moves by `x(k+1) = Phi x(k) + w(k)`, `w(k) ~ N(0, G Qd G^T)` (Eq. 1), drawn from (seed,
-/// k) only; the robots move by Eqs. 14 and 15. What a robot believes about its pose is the truth plus its errors. A real
+/// k) only; the robots move by Eqs. 14 and 15. A robot's own pose is the true one plus its errors. A real
 /// target is not simulated: only sensors of their own can measure it.
 #[derive(Debug)]
 pub struct Simulation<const N: usize> {

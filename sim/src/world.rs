@@ -20,7 +20,7 @@ pub trait World: std::fmt::Debug + Send {
     /// The pose from each robot's localiser, and the measurements that its sensor can make.
     fn entries(&self) -> &[WorldEntry];
 
-    /// Each robot's true pose; in a recording, what its localiser said.
+    /// Each robot's true pose; in a recording, the pose that its localiser reported.
     fn poses(&self) -> &[Pose];
 
     /// The target's true state; empty if unknown.

@@ -47,11 +47,11 @@ impl GatewayArgs {
     /// # Errors
     /// [`Failure`].
     pub fn carry_out(&self) -> Result<(), Failure> {
-        let mut words: Vec<OsString> = vec!["gateway".into()];
-        words.extend(["--name".into(), self.name.to_string().into()]);
-        words.extend(["--listen".into(), self.listen.to_string().into()]);
-        words.extend(self.keys.iter().flat_map(|keys| ["--keys".into(), keys.into()]));
-        gateway::hand_over(words)
+        let mut args: Vec<OsString> = vec!["gateway".into()];
+        args.extend(["--name".into(), self.name.to_string().into()]);
+        args.extend(["--listen".into(), self.listen.to_string().into()]);
+        args.extend(self.keys.iter().flat_map(|keys| ["--keys".into(), keys.into()]));
+        gateway::hand_over(args)
     }
 }
 
@@ -61,10 +61,10 @@ impl KeysArgs {
     /// # Errors
     /// [`Failure`].
     pub fn carry_out(&self) -> Result<(), Failure> {
-        let mut words: Vec<OsString> = vec!["keys".into(), "--out".into(), self.out.clone().into()];
-        words.extend(self.gateway.iter().map(|name| format!("--gateway={name}").into()));
-        words.extend(self.hosts.iter().map(|host| format!("--host={host}").into()));
-        words.extend(self.days.iter().map(|days| format!("--days={days}").into()));
-        gateway::hand_over(words)
+        let mut args: Vec<OsString> = vec!["keys".into(), "--out".into(), self.out.clone().into()];
+        args.extend(self.gateway.iter().map(|name| format!("--gateway={name}").into()));
+        args.extend(self.hosts.iter().map(|host| format!("--host={host}").into()));
+        args.extend(self.days.iter().map(|days| format!("--days={days}").into()));
+        gateway::hand_over(args)
     }
 }

@@ -96,18 +96,18 @@ pub struct ParentArgs {
 }
 
 impl SimArgs {
-    /// Joins the run that a supervisor has founded, or founds one.
+    /// Joins the run that a supervisor has created, or creates one.
     ///
     /// # Errors
     /// [`Failure`].
     pub fn carry_out(&self) -> Result<(), Failure> {
         let joined = self.parent.end_with.and(self.experiment.name.as_ref());
         // Before signals are handled: a signal then ends a wait for a pipe's writer at once.
-        let founded = if joined.is_none() { Some(self.experiment.experiment(Naming::Exact)?) } else { None };
+        let experiment = if joined.is_none() { Some(self.experiment.experiment(Naming::Exact)?) } else { None };
         let termination = node::prepare(Role::Sim, self.parent.end_with)?;
-        let (rendezvous, _folder) = match (joined, founded) {
+        let (rendezvous, _folder) = match (joined, experiment) {
             (Some(name), _) => (node::join(name, &termination)?, None),
-            (None, Some(experiment)) => found(&self.experiment, &experiment)?,
+            (None, Some(experiment)) => create(&self.experiment, &experiment)?,
             (None, None) => return Err(Failure::input("--name is missing: expected the name of a run")),
         };
         node::sim(&rendezvous, &termination)
@@ -133,17 +133,17 @@ impl RobotArgs {
         let Some(connect) = &self.connect else {
             return node::robot(&self.node.name, usize::try_from(self.id)?, self.node.parent.end_with);
         };
-        let mut words: Vec<OsString> =
+        let mut args: Vec<OsString> =
             vec!["robot".into(), "--id".into(), self.id.to_string().into(), "--connect".into(), connect.into()];
         if let Some(keys) = &self.keys {
-            words.extend(["--keys".into(), keys.into()]);
+            args.extend(["--keys".into(), keys.into()]);
         }
         // The gateway's run, whatever its name, unless one is asked for.
         if self.node.name.to_string() != rangehound_shared::scenario::defaults::NAME {
-            words.extend(["--name".into(), self.node.name.to_string().into()]);
+            args.extend(["--name".into(), self.node.name.to_string().into()]);
         }
-        words.extend(self.allow_remote_control.then(|| "--allow-remote-control".into()));
-        gateway::hand_over(words)
+        args.extend(self.allow_remote_control.then(|| "--allow-remote-control".into()));
+        gateway::hand_over(args)
     }
 }
 
@@ -162,9 +162,9 @@ impl LatencyNodeArgs {
     }
 }
 
-/// Founds the run of a simulator that was started by hand, or joins it again after a kill. Also returns the claim on the
+/// Creates the run of a simulator that was started by hand, or joins it again after a kill. Also returns the claim on the
 /// run folder.
-fn found(args: &ExperimentArgs, experiment: &Experiment) -> Result<(Rendezvous, Option<Claim>), Failure> {
+fn create(args: &ExperimentArgs, experiment: &Experiment) -> Result<(Rendezvous, Option<Claim>), Failure> {
     if let Some(living) = Rendezvous::join_if_alive(&experiment.name).map_err(input_or_running)? {
         refuse_other_experiment(args, experiment, living.description())?;
         failure::print_stderr(format!(
@@ -177,9 +177,9 @@ fn found(args: &ExperimentArgs, experiment: &Experiment) -> Result<(Rendezvous, 
     }
     let name = &experiment.name;
     // Only the process that has the run's name may change the folder, and nodes write to it as soon as they have joined.
-    let founded = Rendezvous::found_closed(name, experiment.description_for_nodes()).map_err(input_or_running)?;
+    let created = Rendezvous::create_closed(name, experiment.description_for_nodes()).map_err(input_or_running)?;
     let folder = folder::prepare_folder(experiment)?;
-    let rendezvous = founded.open().map_err(input_or_running)?;
+    let rendezvous = created.open().map_err(input_or_running)?;
     let robots = rendezvous.description().scenario.robots.len();
     failure::print_stderr(format!(
         "sim: started run {name}; join it from other terminals with\n  rangehound fusion --name {name}\n  \

@@ -34,7 +34,7 @@ pub struct ExperimentArgs {
     /// Seed of all random numbers
     #[arg(long, value_name = "N", value_parser = whole, allow_negative_numbers = true)]
     pub seed: Option<u64>,
-    /// What starts the next tick: wall time (realtime), or the answers of all nodes (lockstep)
+    /// Start of the next tick: by wall time (realtime), or by the answers of all nodes (lockstep)
     #[arg(long, value_parser = CLOCKS)]
     pub clock: Option<Clock>,
     /// Planner: how headings are chosen
@@ -105,7 +105,7 @@ pub struct TrackArgs {
     /// Spectral density of the target's acceleration, m^2/s^3: larger for a target that manoeuvres harder
     #[arg(long, value_name = "Q", value_parser = number, allow_negative_numbers = true)]
     pub accel_psd: Option<f64>,
-    /// What is not known exactly of the sensors
+    /// Uncertain properties of the sensors
     #[command(flatten)]
     pub nuisances: NuisanceArgs,
     /// Bias B in `measured = (1+S) true + B`, m; SENSOR=B for one sensor, repeatable

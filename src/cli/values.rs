@@ -15,7 +15,7 @@ use crate::failure::Failure;
 use crate::study::chaos::faults::{Kind, Victim};
 use crate::study::latency::reference::Reference;
 
-/// What each planner does, in the order of [`PLANNERS`].
+/// The method of each planner, in the order of [`PLANNERS`].
 const PLANNERS_DO: [&str; PLANNERS.len()] = [
     "Global optimum of each step, with a certificate that proves it",
     "The paper's adaptive relaxation",
@@ -27,7 +27,7 @@ const PLANNERS_DO: [&str; PLANNERS.len()] = [
     "Headings that are best over several steps",
 ];
 
-/// What starts the next tick.
+/// The start of the next tick.
 pub(super) const CLOCKS: OneOf<Clock> = OneOf(
     &[
         ("realtime", Clock::Realtime, "A tick starts every dt seconds of wall time, even if messages are missing"),

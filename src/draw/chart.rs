@@ -366,7 +366,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_drawn_into_a_string_is_one_element() {
+    fn a_drawing_in_a_string_is_one_element() {
         let names = ["<one>", "two"];
         let svg = draw_to_string((900, 300), |area| draw_rows(area, &names, 0.0..1.0, "time, s").map(drop)).unwrap();
         assert!(svg.starts_with("<svg") && svg.trim_end().ends_with("</svg>"), "{svg}");

@@ -145,7 +145,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_is_not_finished_leaves_what_was_there() {
+    fn an_unfinished_file_leaves_the_existing_one() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("file");
         let names = || std::fs::read_dir(folder.path()).unwrap().count() - 1;

@@ -144,7 +144,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_wrong_is_refused() {
+    fn wrong_calibrations_are_refused() {
         for (from, to) in [("version = 1", "version = 2"), ("bias_m = 0.1", "bias = 0.1"), ("0.02", "nan")] {
             assert!(parse(&FILE.replace(from, to)).is_err(), "{to}");
         }

@@ -7,7 +7,7 @@ use rangehound_node::system::signal::Termination;
 use rangehound_shared::message::Estimate;
 use serde_json::Value;
 
-use super::LOOK;
+use super::POLL_INTERVAL;
 use super::scene::Scene;
 use super::server::Server;
 use crate::results::frame::{Frame, Frames};
@@ -28,7 +28,7 @@ const ROBOTS_OF_PAST_MAX: u64 = 200_000;
 const TICKS_AT_ONCE: usize = 256;
 
 /// A run without any process for this long has ended, whatever its state.
-const DESERTED: Duration = Duration::from_secs(3);
+const NO_PROCESS_MAX: Duration = Duration::from_secs(3);
 
 /// If Ctrl-C interrupts run and page together, the run reports its end within this time.
 const INTERRUPTED: Duration = Duration::from_millis(500);
@@ -58,8 +58,8 @@ pub(super) fn follow(run: &Rendezvous, server: &Server, termination: &Terminatio
             show_nodes(server, &status, is_over);
         }
         reader.look(run, server);
-        let is_deserted = has_been_inhabited && inhabited.elapsed() >= DESERTED;
-        if is_over || is_deserted {
+        let has_no_processes = has_been_inhabited && inhabited.elapsed() >= NO_PROCESS_MAX;
+        if is_over || has_no_processes {
             reader.finish(server);
         }
         if is_finished {
@@ -71,11 +71,11 @@ pub(super) fn follow(run: &Rendezvous, server: &Server, termination: &Terminatio
         if is_asked {
             return "the page was ended; the run may continue";
         }
-        if is_deserted {
+        if has_no_processes {
             show_nodes(server, &Status::of(run), true);
             return "ended early: all processes are gone";
         }
-        std::thread::sleep(LOOK);
+        std::thread::sleep(POLL_INTERVAL);
     }
 }
 

@@ -36,10 +36,10 @@ use scene::Scene;
 use server::{Server, Token};
 
 /// Interval at which the page reads the run, and the shortest interval between two pictures.
-const LOOK: Duration = Duration::from_millis(50);
+const POLL_INTERVAL: Duration = Duration::from_millis(50);
 
 /// Increase of the interval between pictures per robot, because each makes pictures larger.
-const LOOK_PER_ROBOT: Duration = Duration::from_millis(1);
+const POLL_INTERVAL_PER_ROBOT: Duration = Duration::from_millis(1);
 
 /// `rangehound live`.
 ///
@@ -92,7 +92,7 @@ fn feed(
     termination: &Termination,
 ) -> Result<(), Failure> {
     while server.viewers() == 0 && !termination.requested() {
-        std::thread::sleep(LOOK);
+        std::thread::sleep(POLL_INTERVAL);
     }
     let mut looked = None;
     for frame in frames {
@@ -100,7 +100,7 @@ fn feed(
             break;
         }
         let frame = frame?;
-        let is_look = looked.is_none_or(|at: Instant| at.elapsed() >= LOOK);
+        let is_look = looked.is_none_or(|at: Instant| at.elapsed() >= POLL_INTERVAL);
         if is_look {
             looked = Some(Instant::now());
         }
@@ -130,7 +130,7 @@ fn address_of_before(run: &Rendezvous, port: Option<u16>) -> Option<(TcpListener
 }
 
 fn pace(scenario: &Scenario) -> Duration {
-    LOOK + LOOK_PER_ROBOT * scenario.robots.len().try_into().unwrap_or(u32::MAX)
+    POLL_INTERVAL + POLL_INTERVAL_PER_ROBOT * scenario.robots.len().try_into().unwrap_or(u32::MAX)
 }
 
 /// Prints the address on one line, which scripts can read too.

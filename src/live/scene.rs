@@ -376,7 +376,7 @@ mod tests {
     }
 
     #[test]
-    fn what_came_late_was_not_missing_and_a_tick_read_again_counts_once() {
+    fn late_ranges_were_not_missing_and_a_tick_read_again_counts_once() {
         let mut counts = RangeCounter::default();
         let tick = |fused, missing| Estimate { fused, missing, ..Estimate::default() };
         counts.count(1, &tick(3, 0));

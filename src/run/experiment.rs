@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use rangehound_fusion::planner;
-use rangehound_node::rendezvous::{Founded, Rendezvous, RendezvousError, RunDescription, living_runs};
+use rangehound_node::rendezvous::{Created, Rendezvous, RendezvousError, RunDescription, living_runs};
 use rangehound_shared::recording::{ReadSummary, Recording};
 use rangehound_shared::run_name::RunName;
 use rangehound_shared::scenario::{Scenario, ScenarioFile, Source};
@@ -160,18 +160,18 @@ impl Experiment {
         Ok(Self { name, description, scenario_file: file, inputs, numbered })
     }
 
-    /// Founds its run, which no node can join yet. If the user gave no name and another process has just taken this one, the next
+    /// Creates its run, which no node can join yet. If the user gave no name and another process has just taken this one, the next
     /// is tried.
     ///
     /// # Errors
     /// [`Failure`].
-    pub fn found(&mut self) -> Result<Founded, Failure> {
+    pub fn create(&mut self) -> Result<Created, Failure> {
         loop {
             let description = self.description_for_nodes();
             let Some(Numbered { wanted, folder }) = &mut self.numbered else {
-                return Rendezvous::found_closed(&self.name, description).map_err(input_or_running);
+                return Rendezvous::create_closed(&self.name, description).map_err(input_or_running);
             };
-            match Rendezvous::found_closed_if_free(&self.name, description) {
+            match Rendezvous::create_closed_if_free(&self.name, description) {
                 Err(RendezvousError::Taken { .. }) => {
                     let (name, reserved) = free_name(wanted, folder.is_none())?;
                     if let Some(reserved) = reserved {
@@ -180,7 +180,7 @@ impl Experiment {
                     }
                     self.name = name;
                 }
-                founded => return founded.map_err(input_or_running),
+                created => return created.map_err(input_or_running),
             }
         }
     }

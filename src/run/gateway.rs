@@ -6,7 +6,7 @@ use std::os::unix::process::CommandExt;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use rangehound_node::gateway_note::{GatewayNote, GuestNote};
+use rangehound_node::gateway_note::{GatewayNote, RemoteRobotNote};
 use rangehound_node::rendezvous::{Rendezvous, Role};
 
 use crate::failure::Failure;
@@ -67,21 +67,21 @@ pub fn latency_transports() -> Result<Vec<String>, Failure> {
     }
 }
 
-/// Becomes that program, with these words.
+/// Becomes that program, with these arguments.
 ///
 /// # Errors
 /// [`Failure`] if it is not installed or cannot be started.
-pub fn hand_over(words: impl IntoIterator<Item = OsString>) -> Result<(), Failure> {
+pub fn hand_over(args: impl IntoIterator<Item = OsString>) -> Result<(), Failure> {
     let program = program()?;
-    let error = Command::new(&program).arg0("rangehound").args(words).exec();
+    let error = Command::new(&program).arg0("rangehound").args(args).exec();
     Err(Failure::Running(anyhow::anyhow!("cannot start {}: {error}", program.display())))
 }
 
 /// The link of a robot that takes part in a run from another host.
 #[must_use]
-pub fn guest(run: &Rendezvous, role: Role) -> Option<GuestNote> {
+pub fn remote_robot(run: &Rendezvous, role: Role) -> Option<RemoteRobotNote> {
     let robot = role.robot()?;
     let note = GatewayNote::read(run)?;
     let is_through_gateway = run.roster().holder(role).is_some_and(|pid| pid.as_raw_pid().cast_unsigned() == note.pid);
-    note.guests.into_iter().find(|guest| guest.robot == robot && is_through_gateway)
+    note.robots.into_iter().find(|remote| remote.robot == robot && is_through_gateway)
 }

@@ -19,11 +19,11 @@ use crate::files::out_folder;
 use crate::results::frame::{Frame, Frames, UNSETTLED_TICKS};
 use crate::results::made;
 use crate::results::ros_bag::folder::BagFolder;
-use crate::results::run_mcap::file::{Poorer, RunFile, unusable};
+use crate::results::run_mcap::file::{FewerTicks, RunFile, unusable};
 use crate::results::run_mcap::write::Written;
 use crate::run::folder;
 use crate::run::node;
-use crate::run::watch::{self, LOOK, Progress};
+use crate::run::watch::{self, POLL_INTERVAL, Progress};
 
 /// After a request to end, ticks that are in the logs are recorded for this long.
 const CATCH_UP: Duration = Duration::from_secs(5);
@@ -136,7 +136,7 @@ fn follow(
         if recorder.is_full {
             return recorder.finish();
         }
-        sleep(LOOK);
+        sleep(POLL_INTERVAL);
     }
     if !watch::wait_for_last_estimate(rendezvous) && !rendezvous.is_finished() {
         recorder.advance_to_settled()?;
@@ -329,8 +329,8 @@ impl<'a> Recorder<'a> {
             log::warn!("no recording {}: the run has written no logs", path.display());
         } else {
             let unwritable = file.unwritable();
-            file.finish().map_err(|error| match error.downcast::<Poorer>() {
-                Ok(poorer) => Failure::input(poorer),
+            file.finish().map_err(|error| match error.downcast::<FewerTicks>() {
+                Ok(fewer) => Failure::input(fewer),
                 Err(error) => unwritable(error),
             })?;
         }

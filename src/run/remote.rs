@@ -4,7 +4,7 @@ use std::time::{Duration, Instant, SystemTime};
 
 use anyhow::anyhow;
 use rangehound_fusion::standby::STANDBYS_MAX;
-use rangehound_node::gateway_note::{GatewayNote, GuestNote, RobotOrder};
+use rangehound_node::gateway_note::{GatewayNote, RemoteRobotNote, RobotOrder};
 use rangehound_node::logs;
 use rangehound_node::rendezvous::{Holder, Process, Rendezvous, Role, living_runs};
 use rangehound_shared::run_name::RunName;
@@ -98,8 +98,8 @@ pub fn restart(name: Option<&RunName>, node: Role, json: bool) -> Result<(), Fai
         if run.roster().starts(node) > starts
             && let Some(pid) = run.roster().holder(node)
         {
-            let now = match gateway::guest(&run, node) {
-                Some(guest) => Hit::On(guest.host),
+            let now = match gateway::remote_robot(&run, node) {
+                Some(remote) => Hit::On(remote.host),
                 None => Hit::Here(pid),
             };
             let (starts, node) = (run.roster().starts(node), node.to_string());
@@ -223,18 +223,18 @@ impl std::fmt::Display for Hit {
 
 /// Sends a signal to the process in a role. A robot on another host gets it through the gateway, if its host allows that.
 pub(crate) fn signal(run: &Rendezvous, role: Role, signal: Signal) -> Result<Hit, Failure> {
-    if let Some(guest) = gateway::guest(run, role).filter(|guest| guest.allows_control) {
+    if let Some(remote) = gateway::remote_robot(run, role).filter(|remote| remote.allows_control) {
         let order = match signal {
             Signal::KILL => RobotOrder::Kill,
             Signal::TERM => RobotOrder::End,
             _ => {
                 return Err(Failure::input(format!(
                     "{role} runs on the host {}: expected kill or restart; nothing can be stopped or continued there",
-                    guest.host
+                    remote.host
                 )));
             }
         };
-        return give_order(run, &guest, order).map(|()| Hit::On(guest.host));
+        return give_order(run, &remote, order).map(|()| Hit::On(remote.host));
     }
     let process = process_in(run, role)?;
     process.signal(signal).map_err(|_| gone(run, role))?;
@@ -244,7 +244,7 @@ pub(crate) fn signal(run: &Rendezvous, role: Role, signal: Signal) -> Result<Hit
 /// Asks the process in a role to end, so that another one is started: by the supervisor or, on another host, by what starts its
 /// robots.
 pub(crate) fn ask_for_successor(run: &Rendezvous, role: Role) -> Result<Hit, Failure> {
-    if !run.roster().is_held(Role::Supervisor) && gateway::guest(run, role).is_none() {
+    if !run.roster().is_held(Role::Supervisor) && gateway::remote_robot(run, role).is_none() {
         return Err(Failure::input(format!(
             "run {} was started by hand: expected a run with a supervisor: kill {role}, and start it again",
             run.name()
@@ -259,8 +259,8 @@ pub(crate) fn ask_for_successor(run: &Rendezvous, role: Role) -> Result<Hit, Fai
 }
 
 /// Gives an order to a robot on another host, and waits until it has arrived.
-fn give_order(run: &Rendezvous, guest: &GuestNote, order: RobotOrder) -> Result<(), Failure> {
-    let robot = guest.robot;
+fn give_order(run: &Rendezvous, remote: &RemoteRobotNote, order: RobotOrder) -> Result<(), Failure> {
+    let robot = remote.robot;
     order.write(run, robot).map_err(input_or_running)?;
     let began = Instant::now();
     while began.elapsed() < ORDER_TIMEOUT {
@@ -274,7 +274,7 @@ fn give_order(run: &Rendezvous, guest: &GuestNote, order: RobotOrder) -> Result<
     let _ = RobotOrder::take(run, robot);
     Err(Failure::Running(anyhow!(
         "the order did not reach robot-{robot} on the host {}: its link is cut, see `rangehound status`",
-        guest.host
+        remote.host
     )))
 }
 
@@ -286,10 +286,10 @@ pub(crate) fn process_in(run: &Rendezvous, role: Role) -> Result<Process, Failur
         let last = run.description().scenario.robots.len() - 1;
         return Err(Failure::input(format!("{role} is not in run {}: expected robot-0 to robot-{last}", run.name())));
     }
-    if let Some(guest) = gateway::guest(run, role) {
+    if let Some(remote) = gateway::remote_robot(run, role) {
         return Err(Failure::input(format!(
             "{role} runs on the host {} ({}): end its process there, or start it with --allow-remote-control",
-            guest.host, guest.address
+            remote.host, remote.address
         )));
     }
     match run.roster().process(role) {

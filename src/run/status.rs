@@ -28,8 +28,8 @@ const SENSOR_CHARS_MAX: usize = 16;
 /// A robot on another host that is silent for longer has no working link, ms.
 const SILENT_MS: u64 = 500;
 
-/// Time between two looks of `--watch`.
-const LOOK: Duration = Duration::from_secs(1);
+/// Interval at which `--watch` shows the state.
+const REFRESH_INTERVAL: Duration = Duration::from_secs(1);
 
 /// Time between two checks for Ctrl-C.
 const POLL: Duration = Duration::from_millis(50);
@@ -59,7 +59,7 @@ pub fn status(name: Option<&RunName>, shows_all: bool, again: bool, json: bool) 
         }
         is_first = false;
         let began = Instant::now();
-        while began.elapsed() < LOOK && !termination.requested() {
+        while began.elapsed() < REFRESH_INTERVAL && !termination.requested() {
             std::thread::sleep(POLL);
         }
         if termination.requested() {
@@ -187,14 +187,14 @@ impl Row<'_> {
 fn links(gateway: &GatewayNote) -> String {
     let heads = ["robot", "host", "address", "rtt", "lost", "resent", "silent"].map(str::to_owned);
     let mut out = format!("\n\n{TITLE}{}{TITLE:#}", link(&heads));
-    for guest in &gateway.guests {
-        let trip = guest.round_trip_us.map_or("-".to_owned(), |us| format!("{:.1} ms", us as f64 / 1_000.0));
+    for remote in &gateway.robots {
+        let trip = remote.round_trip_us.map_or("-".to_owned(), |us| format!("{:.1} ms", us as f64 / 1_000.0));
         let percent = |part: f64| format!("{:.0} %", 100.0 * part);
-        let silent = format!("{:.2} s", guest.silent_ms as f64 / 1_000.0);
-        let (lost, repeated) = (percent(guest.lost), percent(guest.repeated));
-        let (name, host) = (format!("robot-{}", guest.robot), shown_sensor(&guest.host));
-        let style = if guest.silent_ms > SILENT_MS { DOUBTFUL } else { GOOD };
-        let cells = [name, host, guest.address.clone(), trip, lost, repeated, silent];
+        let silent = format!("{:.2} s", remote.silent_ms as f64 / 1_000.0);
+        let (lost, repeated) = (percent(remote.lost), percent(remote.repeated));
+        let (name, host) = (format!("robot-{}", remote.robot), shown_sensor(&remote.host));
+        let style = if remote.silent_ms > SILENT_MS { DOUBTFUL } else { GOOD };
+        let cells = [name, host, remote.address.clone(), trip, lost, repeated, silent];
         let _ = write!(out, "\n{style}{}{style:#}", link(&cells));
     }
     if !gateway.refusals.is_empty() {
@@ -242,7 +242,7 @@ pub(crate) fn names_of_robots(ids: impl Iterator<Item = usize>) -> String {
 
 #[cfg(test)]
 mod tests {
-    use rangehound_node::gateway_note::GuestNote;
+    use rangehound_node::gateway_note::RemoteRobotNote;
 
     use super::*;
     use crate::terminal::WIDTH;
@@ -274,7 +274,7 @@ mod tests {
 
     #[test]
     fn links_to_other_hosts_and_refusals_are_shown() {
-        let guest = |robot, silent_ms| GuestNote {
+        let remote = |robot, silent_ms| RemoteRobotNote {
             robot,
             host: "a-host-with-a-long-name".to_owned(),
             address: "192.168.100.200:65535".to_owned(),
@@ -286,7 +286,7 @@ mod tests {
         };
         let mut status = status(2, |_| "running");
         let refusals = [("no certificate".to_owned(), 3)].into();
-        status.gateway = Some(GatewayNote { pid: 1, guests: vec![guest(0, 20), guest(255, 123_456)], refusals });
+        status.gateway = Some(GatewayNote { pid: 1, robots: vec![remote(0, 20), remote(255, 123_456)], refusals });
         let text = text(&status, true);
         assert!(text.contains("1.3 ms  13 %    3 %   0.02 s") && text.contains("no certificate 3"), "{text}");
     }

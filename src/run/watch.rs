@@ -17,7 +17,7 @@ use crate::run::node::input_or_running;
 use crate::terminal;
 
 /// Interval at which an observer polls.
-pub const LOOK: Duration = Duration::from_millis(50);
+pub const POLL_INTERVAL: Duration = Duration::from_millis(50);
 
 /// Interval between printed lines without a terminal.
 const LINE: Duration = Duration::from_secs(2);
@@ -214,7 +214,7 @@ fn watch_until_removed(name: &RunName, json: bool, termination: &Termination) ->
                 "run {name} was ended before its last tick: `rangehound resume` may continue it"
             )));
         }
-        std::thread::sleep(LOOK);
+        std::thread::sleep(POLL_INTERVAL);
         watch.look()?;
     }
     watch.finish();

@@ -54,7 +54,7 @@ attacks! {
     true_tracks: 20_000, vec![];
     plan_lines: 20_000, vec![];
     command_lines: 10_000, vec![];
-    words: 20_000, vec![];
+    names: 20_000, vec![];
     run_descriptions: 20_000, made::run_descriptions();
     checkpoint_files: 4_000, made::checkpoint_files();
     node_states: 20_000, made::node_states();
@@ -65,26 +65,26 @@ attacks! {
     bag_messages: 20_000, vec![];
 }
 
-fn attack(name: &str, cases: u32, mut taken: Vec<Vec<u8>>, target: fn(&[u8]) -> Verdict) {
+fn attack(name: &str, cases: u32, mut accepted: Vec<Vec<u8>>, target: fn(&[u8]) -> Verdict) {
     let watchdog = watchdog(name.to_owned());
     let feed = |bytes: &[u8]| {
         watchdog.send(bytes.to_vec()).unwrap();
         check(target, bytes)
     };
     let folder = project().join("fuzz/corpus").join(name);
-    taken.extend(documents(&folder.join("taken")));
-    for bytes in &taken {
+    accepted.extend(documents(&folder.join("accepted")));
+    for bytes in &accepted {
         let verdict = feed(bytes);
         assert!(verdict.is_ok(), "{name}: {} is refused: {verdict:?}", bytes.escape_ascii());
     }
     for bytes in documents(&folder.join("refused")) {
-        assert!(feed(&bytes).is_err(), "{name}: {} is taken", bytes.escape_ascii());
+        assert!(feed(&bytes).is_err(), "{name}: {} is accepted", bytes.escape_ascii());
     }
     let count = Cell::new(0);
-    for_all(cases, &derived(taken), |Input(bytes)| count.set(count.get() + u32::from(feed(&bytes).is_ok())));
+    for_all(cases, &derived(accepted), |Input(bytes)| count.set(count.get() + u32::from(feed(&bytes).is_ok())));
     // Derived inputs of only one kind would test half of a reader.
-    assert!(count.get() > 0, "{name}: none of {cases} derived inputs is taken");
-    println!("{name}: {} of {cases} derived inputs are taken", count.get());
+    assert!(count.get() > 0, "{name}: none of {cases} derived inputs is accepted");
+    println!("{name}: {} of {cases} derived inputs are accepted", count.get());
 }
 
 /// The files of a folder, if it exists, always in the same order.

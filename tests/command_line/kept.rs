@@ -158,7 +158,7 @@ fn manual_pages_replace_pages_and_nothing_else() {
 }
 
 #[test]
-fn a_recording_replaces_no_file_but_a_poorer_one_of_the_same_run() {
+fn a_recording_replaces_no_file_but_one_with_fewer_ticks_of_the_same_run() {
     let run = Run::new();
     start(&run, "run --in-process --ticks 300 --out out").succeeded();
     start(&run, "run --in-process --ticks 20 --seed 2 --out other").succeeded();
@@ -238,7 +238,7 @@ fn a_hangup_ends_a_run_with_its_report_unless_it_is_ignored() {
 fn a_joining_simulator_with_other_flags_is_refused_by_flag() {
     let run = Run::new();
     let first = run.node("sim --out out --seed 7");
-    run.wait_until("the run is founded", || run.path("out/scenario.toml").exists() && first.has_joined());
+    run.wait_until("the run is created", || run.path("out/scenario.toml").exists() && first.has_joined());
     for (flag, expected) in [
         ("--seed 99", "--seed differs from run"),
         ("--ticks 3", "--ticks differs from run"),

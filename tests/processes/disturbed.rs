@@ -323,7 +323,7 @@ fn a_folder_in_which_a_run_goes_on_is_refused_to_another() {
     run.assert_nothing_left();
 }
 
-/// It cannot receive the request to end until it is continued: the next founder of the name continues it.
+/// It cannot receive the request to end until it is continued: the next creator of the name continues it.
 #[test]
 fn a_node_that_was_stopped_when_its_supervisor_was_killed_does_not_keep_the_name() {
     let run = Run::new();

@@ -65,8 +65,8 @@ fn a_robot_on_a_port_takes_part_in_a_run() {
     for node in [sim, fusion, watch] {
         node.finish().succeeded();
     }
-    let told = |what: &str| outcome.stderr.lines().filter(|line| line.contains(what)).count();
-    assert_eq!((told("expected lines like"), told("port: the stream has ended")), (1, 1), "{outcome:#?}");
+    let lines_with = |what: &str| outcome.stderr.lines().filter(|line| line.contains(what)).count();
+    assert_eq!((lines_with("expected lines like"), lines_with("port: the stream has ended")), (1, 1), "{outcome:#?}");
     assert_eq!(outcome.stdout.lines().next_back(), Some(STOP));
     for line in outcome.stdout.lines() {
         let (heading_rad, speed_mps) = line.split_once(',').unwrap();
@@ -150,7 +150,7 @@ fn a_port_or_robot_that_is_not_there_is_refused() {
     let example = example();
     let run = Run::new();
     let sim = run.command("sim --clock realtime --ticks 1000");
-    run.wait_until("the run is founded", || sim.has_joined());
+    run.wait_until("the run is created", || sim.has_joined());
     let refusal =
         |id: &str, port: &str| run.start_program(&example, &["--name", &run.name, "--id", id, "--port", port]).finish();
     for (refused, names) in [(refusal("0", "/dev/no-such-port"), "/dev/no-such-port"), (refusal("9", "-"), "--id")] {

@@ -49,21 +49,21 @@ fn allocations(ticks: u64) -> Vec<u64> {
     let file = ScenarioFile::parse(&text, "test").unwrap();
     let scenario = Scenario::from_file(&file, "test").unwrap();
     std::fs::create_dir(run.path("out")).unwrap();
-    let founded =
-        Rendezvous::found(&run.name.parse().unwrap(), RunDescription::new(scenario, run.path("out"))).unwrap();
+    let created =
+        Rendezvous::create(&run.name.parse().unwrap(), RunDescription::new(scenario, run.path("out"))).unwrap();
     let nodes = ["sim", "fusion", "robot-0", "robot-1"].map(|role| {
         let mut command = Command::new(std::env::current_exe().unwrap());
         command.args(["--exact", "processes::memory::node", "--ignored", "--nocapture"]);
         Node(command.envs([(RUN, run.name.as_str()), (ROLE, role)]).stdout(Stdio::piped()).spawn().unwrap())
     });
-    run.wait_until("the run has ended", || founded.is_finished());
+    run.wait_until("the run has ended", || created.is_finished());
     let counted = nodes.map(|mut node| {
         let mut output = String::new();
         node.0.stdout.take().unwrap().read_to_string(&mut output).unwrap();
         let count = output.lines().find_map(|line| line.split_once("allocations ")?.1.parse().ok());
         count.unwrap_or_else(|| panic!("{output}"))
     });
-    drop(founded);
+    drop(created);
     run.assert_nothing_left();
     counted[..3].to_vec()
 }

@@ -178,7 +178,7 @@ fn a_very_short_sleep_ends() {
     let (send, ended) = std::sync::mpsc::channel();
     std::thread::spawn(move || {
         let scenario = Scenario::from_file(&ScenarioFile::default(), "default").unwrap();
-        let rendezvous = Rendezvous::found(&name, RunDescription::new(scenario, out_dir)).unwrap();
+        let rendezvous = Rendezvous::create(&name, RunDescription::new(scenario, out_dir)).unwrap();
         let waiter = Bus::connect(&rendezvous, "observer").unwrap().waiter_of(WaitGroup::Sim);
         for nanoseconds in [0, 1, 999, 1_000] {
             waiter.sleep(Duration::from_nanos(nanoseconds));

@@ -246,7 +246,7 @@ fn a_node_of_another_pid_namespace_is_reported_and_no_other_process_is_signalled
     let run = Run::new();
     let in_container = format!("{NAMESPACE} --mount-proc sh -c '\"$@\" & wait' sh \"$@\"");
     let sim = run.command_by(&in_container, "sim --ticks 100000000");
-    run.wait_until("the run is founded", || run.shared_folder().join("run").exists());
+    run.wait_until("the run is created", || run.shared_folder().join("run").exists());
     let named = |words: &'static str| words.split(' ').chain(["--name", run.name.as_str()]).collect::<Vec<&str>>();
     let robot = run.start_by(&in_container, &named("robot --id 1"));
     run.wait_until("the robot is there", || run.is_held("robot-1") && run.starts("robot-1") == 1);

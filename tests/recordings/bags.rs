@@ -157,8 +157,8 @@ fn a_runs_own_bag_is_tracked_as_the_run_is() {
     run.command(&words).finish().succeeded();
     let recorded = run.start(&["record", "out", "--ros2", "bag", "--json"]).finish();
     assert_eq!(recorded.code, Some(0), "{recorded:#?}");
-    let told: Value = serde_json::from_str(&recorded.stdout).unwrap();
-    assert_eq!((&told["ticks"], &told["file"]), (&300.into(), &"bag".into()), "{told}");
+    let summary: Value = serde_json::from_str(&recorded.stdout).unwrap();
+    assert_eq!((&summary["ticks"], &summary["file"]), (&300.into(), &"bag".into()), "{summary}");
     let metadata = std::fs::read_to_string(run.path("bag/metadata.yaml")).unwrap();
     for expected in [
         "version: 9",
@@ -234,20 +234,21 @@ fn markers_and_diagnostics_of_a_bag_are_those_of_the_estimate() {
         assert!((long * short / (xx * yy - xy * xy) - 1.0).abs() < 1e-6, "{row:?} {drawn:?}");
     }
 
-    let told = of_topic("/diagnostics", &["status[0].name", "status[0].values[].key", "status[0].values[].value"]);
+    let diagnostics =
+        of_topic("/diagnostics", &["status[0].name", "status[0].values[].key", "status[0].values[].value"]);
     // Once in a second of the run, and at its end.
-    assert_eq!(told.len(), 27);
-    let of = |told: &[Value], key: &str| {
-        let place = told.iter().position(|text| text == key).unwrap_or_else(|| panic!("{key}: {told:?}"));
-        told[place + (told.len() - 1) / 2].clone()
+    assert_eq!(diagnostics.len(), 27);
+    let of = |status: &[Value], key: &str| {
+        let place = status.iter().position(|text| text == key).unwrap_or_else(|| panic!("{key}: {status:?}"));
+        status[place + (status.len() - 1) / 2].clone()
     };
     assert!(
-        told.iter().all(|told| told[0] == "rangehound: estimate" && of(told, "silent robots") == "none"),
-        "{told:?}"
+        diagnostics.iter().all(|status| status[0] == "rangehound: estimate" && of(status, "silent robots") == "none"),
+        "{diagnostics:?}"
     );
-    let ticks: Vec<f64> = told.iter().map(|told| number(&of(told, "tick"))).collect();
+    let ticks: Vec<f64> = diagnostics.iter().map(|status| number(&of(status, "tick"))).collect();
     assert_eq!((&ticks[..3], ticks[26]), (&[0.0, 10.0, 20.0][..], 255.0));
-    let rejected: f64 = told.iter().map(|told| number(&of(told, "rejected since the last status"))).sum();
+    let rejected: f64 = diagnostics.iter().map(|status| number(&of(status, "rejected since the last status"))).sum();
     let report = run.report();
     assert!(rejected > 0.0 && rejected == number(&report["ranges"]["rejected"]), "{rejected}: {}", report["ranges"]);
 }

@@ -83,7 +83,7 @@ fn a_good_track_is_valid_and_one_in_a_wrong_unit_or_with_another_clocks_truth_is
 }
 
 #[test]
-fn what_calibrate_finds_without_truth_makes_the_track_better() {
+fn a_calibration_without_truth_makes_the_track_better() {
     let run = Run::new();
     let biases_m = [0.45, 0.1, 0.35, -0.2];
     let (ranges, truth) = recording(1.0, biases_m);
@@ -134,7 +134,7 @@ fn calibrate_uses_the_ranges_of_a_recording_with_bearings_and_refuses_one_withou
 fn track_tells_how_many_ranges_and_bearings_it_has_read() {
     let run = Run::new();
     let header = "time_s,sensor_id,sensor_x_m,sensor_y_m,range_m,bearing_rad\n";
-    for (rows, told) in [
+    for (rows, reported) in [
         ("0,A,0,0,5,\n0,B,9,0,5,0.5\n1,A,0,0,,0.5\n", "recording: 2 ranges and 2 bearings of 2 sensors; read as"),
         ("0,A,0,0,,0.6\n0,B,9,0,,2\n", "recording: 2 bearings of 2 sensors; read as"),
         ("0,A,0,0,5,\n0,B,9,0,5,\n", "recording: 2 ranges of 2 sensors; read as"),
@@ -142,7 +142,7 @@ fn track_tells_how_many_ranges_and_bearings_it_has_read() {
         run.write("r.csv", format!("{header}{rows}"));
         let tracked = program(&run, "track r.csv --in-process --no-record --out out");
         assert!(tracked.status.success(), "{tracked:?}");
-        assert!(String::from_utf8_lossy(&tracked.stderr).contains(told), "{tracked:?}");
+        assert!(String::from_utf8_lossy(&tracked.stderr).contains(reported), "{tracked:?}");
     }
 }
 

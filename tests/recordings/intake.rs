@@ -77,9 +77,9 @@ fn a_changed_copy_is_refused_in_one_line() {
         format!("rm -f out/*.checkpoint out/*.ticks; \"$0\" resume out --name {name} --no-record --restart never");
     let output = shell(&run, &words);
     assert!(!output.status.success(), "{output:?}");
-    let said = String::from_utf8_lossy(&output.stderr).into_owned()
+    let output_text = String::from_utf8_lossy(&output.stderr).into_owned()
         + &std::fs::read_to_string(run.path("out/logs/sim.log")).unwrap_or_default();
-    assert!(said.contains("recording.csv has changed since the run began"), "{said}");
+    assert!(output_text.contains("recording.csv has changed since the run began"), "{output_text}");
 }
 
 /// The original may change, grow or disappear.
@@ -90,7 +90,7 @@ fn a_run_that_is_resumed_plays_its_own_copy_whatever_has_become_of_the_original(
     let undisturbed = Run::new();
     undisturbed.write("r.csv", &csv);
     undisturbed.start(&format!("track r.csv --in-process {flags}").split(' ').collect::<Vec<_>>()).finish().succeeded();
-    for fate in ["changed", "appended to", "deleted"] {
+    for change in ["changed", "appended to", "deleted"] {
         let run = Run::new();
         run.write("r.csv", &csv);
         let words = format!("track r.csv {flags} --name {}", run.name);
@@ -101,14 +101,14 @@ fn a_run_that_is_resumed_plays_its_own_copy_whatever_has_become_of_the_original(
         nodes.iter().for_each(|pid| signal(*pid, Signal::KILL));
         supervisor.finish();
         run.wait_until("all are gone", || !nodes.iter().any(|pid| is_alive(*pid)));
-        match fate {
+        match change {
             "changed" => run.write("r.csv", csv.replace(",10,", ",60,")),
             "appended to" => run.write("r.csv", format!("{csv}90000,B,10,8,7\n")),
             _ => std::fs::remove_file(run.path("r.csv")).unwrap(),
         }
         let resumed = run.start(&["resume", "out", "--name", &run.name, "--no-record"]).finish();
-        assert_eq!(resumed.code, Some(0), "{fate}: {resumed:#?}");
-        assert_eq!(run.digest(), undisturbed.digest(), "{fate}");
+        assert_eq!(resumed.code, Some(0), "{change}: {resumed:#?}");
+        assert_eq!(run.digest(), undisturbed.digest(), "{change}");
         run.assert_nothing_left();
     }
 }

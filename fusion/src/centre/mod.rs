@@ -29,7 +29,7 @@ const BOUND: f64 = 1e18;
 pub enum Late {
     /// Its range or its bearing was fused at its own time.
     Fused,
-    /// What it measured was rejected: it failed the gate, or its sensor was distrusted.
+    /// Its measurement was rejected: it failed the gate, or its sensor was distrusted.
     Rejected,
     /// It measured nothing.
     Nothing,

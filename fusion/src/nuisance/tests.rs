@@ -253,7 +253,7 @@ fn a_constant_bias_is_considered_or_found() {
 
 /// A correction by something new keeps `P' P^-1` of the error, and a growing covariance all of it.
 #[test]
-fn what_is_kept_of_an_error_follows_from_the_covariances() {
+fn the_kept_part_of_an_error_follows_from_the_covariances() {
     let mut chain = Chain::of(vec![NuisanceSpec::default()], Treatment::Schmidt);
     let pose = |variance_m2: f64| Pose { covariance_m2: [variance_m2, 0.0, variance_m2], ..Pose::default() };
     assert_eq!(chain.hear(0, &Pose::default()), None);

@@ -11,7 +11,7 @@ use super::{ForAnyTeam, Plan, Planner, PlannerError, Situation};
 /// zeroed, one for each member.
 pub type Choose = dyn FnMut(u64, &Situation, &mut [Command]) + Send;
 
-/// The planner round a function. What its commands are worth is computed as for the built-in planners; it proves nothing.
+/// The planner round a function. The worth of its commands is computed as for the built-in planners; it proves nothing.
 pub struct Custom {
     choose: Box<Choose>,
     valuer: ForAnyTeam,

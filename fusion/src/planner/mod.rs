@@ -47,7 +47,7 @@ pub struct Plan {
 /// The worth of a plan: predicted information about the target's position.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub struct Worth {
-    /// What was minimised. For teams of ranges alone the paper's `|S|`, the difference of the eigenvalues of the information,
+    /// The minimised quantity. For teams of ranges alone the paper's `|S|`, the difference of the eigenvalues of the information,
     /// 1/m^2; for others the criterion's value.
     pub objective: f64,
     /// Twice the lesser eigenvalue, `T - |S|`, 1/m^2: the trace hangs on it, and the difference of the two may be nothing but

@@ -76,10 +76,10 @@ impl Acceptor {
             let (acceptor, config, finished) = (Rc::clone(&acceptor), config(), finished.clone());
             tokio::task::spawn_local(async move {
                 match tokio::time::timeout(HANDSHAKE_TIMEOUT, acceptor.join(incoming, config)).await {
-                    Ok(Ok(guest)) => {
+                    Ok(Ok(remote)) => {
                         drop(under_way);
                         acceptor.handshakes.know(address);
-                        guest.attend(&acceptor.sender, finished).await;
+                        remote.attend(&acceptor.sender, finished).await;
                     }
                     Ok(Err(NotJoined::Refused(cause, text))) => {
                         acceptor.refuse(address, cause, &text);
@@ -97,7 +97,7 @@ impl Acceptor {
     }
 
     /// The handshake and the request.
-    async fn join(&self, incoming: Incoming, config: Arc<ServerConfig>) -> Result<Guest, NotJoined> {
+    async fn join(&self, incoming: Incoming, config: Arc<ServerConfig>) -> Result<RemoteRobot, NotJoined> {
         let failed = |error: ConnectionError| match RefusalCause::of_connection_error(&error) {
             Some(RefusalCause::Other) => NotJoined::Refused(RefusalCause::Other, error.to_string()),
             Some(cause) => NotJoined::Refused(cause, cause.name().to_owned()),
@@ -129,7 +129,7 @@ impl Acceptor {
         match answer {
             Answer::Welcome { .. } => {
                 link::write(&mut send, &answer).await.map_err(|_| NotJoined::Gone)?;
-                Ok(Guest { robot, connection, receive, send, notices })
+                Ok(RemoteRobot { robot, connection, receive, send, notices })
             }
             Answer::Refused { ref text, .. } => {
                 say_last(&connection, &mut send, &answer).await;
@@ -166,7 +166,7 @@ enum NotJoined {
 }
 
 /// A robot that has joined.
-struct Guest {
+struct RemoteRobot {
     robot: usize,
     connection: Connection,
     receive: RecvStream,
@@ -180,7 +180,7 @@ fn peer_of(connection: &Connection) -> Option<Peer> {
     Peer::of(&identity).ok()
 }
 
-impl Guest {
+impl RemoteRobot {
     /// Passes on the frames and the farewell of the robot, and tells it when the run is over or its process is to end. An order
     /// that it does not confirm in time must not reach it later: its link is closed.
     async fn attend(self, sender: &Sender<Input>, mut finished: watch::Receiver<bool>) {
@@ -287,8 +287,8 @@ mod tests {
         let (sender, mut inputs) = mpsc::channel(1);
         let (_orders, notices) = mpsc::channel(1);
         let (_finish, finished) = watch::channel(false);
-        let guest = Guest { robot: 0, connection: connection.clone(), receive, send, notices };
-        let attended = tokio::task::spawn_local(async move { guest.attend(&sender, finished).await });
+        let remote = RemoteRobot { robot: 0, connection: connection.clone(), receive, send, notices };
+        let attended = tokio::task::spawn_local(async move { remote.attend(&sender, finished).await });
         for number in 0..FRAMES {
             robot.send_datagram_wait(number.to_le_bytes().to_vec().into()).await.unwrap();
             while connection.stats().frame_rx.datagram <= u64::from(number) {

@@ -3,9 +3,9 @@
 //! It has no state that could be lost: a gateway that is started again learns everything from the robots and the bus.
 
 mod acceptor;
-mod guests;
 mod handshakes;
 mod refusals;
+mod remote_robots;
 
 use std::cell::RefCell;
 use std::collections::BTreeSet;
@@ -26,9 +26,9 @@ use tokio::sync::watch;
 use crate::keys::{Credentials, KeysError, Renewed};
 use crate::link::{self, Answer};
 use acceptor::{Acceptor, Applicant};
-use guests::Guests;
 use handshakes::Handshakes;
 use refusals::Refusals;
+use remote_robots::RemoteRobots;
 
 /// Inputs that wait for the gateway. Whoever has a further one waits in turn.
 const INPUTS_MAX: usize = 256;
@@ -125,7 +125,7 @@ pub fn run(
             let endpoint = quinn::Endpoint::new(quinn::EndpointConfig::default(), Some(first_config), socket, runtime)?;
             listening(endpoint.local_addr()?);
             let refusals = Rc::new(RefCell::new(Refusals::default()));
-            let mut guests = Guests::new(rendezvous, sender.clone(), Rc::clone(&refusals))?;
+            let mut remote_robots = RemoteRobots::new(rendezvous, sender.clone(), Rc::clone(&refusals))?;
             let (finished, when_finished) = watch::channel(false);
             let handshakes = Handshakes::of_team(rendezvous.description().scenario.robots.len());
             let acceptor = Acceptor { sender, handshakes, refusals, demands_keys: keys.is_some() };
@@ -133,10 +133,10 @@ pub fn run(
             let acceptor = tokio::task::spawn_local(acceptor.answer(endpoint.clone(), config, when_finished));
             // Without them it would hold its role and serve no robot: the supervisor starts it again.
             let is_deaf = || acceptor.is_finished() || bus.is_finished();
-            let served = serve(&mut guests, &mut inputs, (rendezvous, &lease), (termination, is_deaf)).await;
-            let robots = guests.robots();
+            let served = serve(&mut remote_robots, &mut inputs, (rendezvous, &lease), (termination, is_deaf)).await;
+            let robots = remote_robots.robots();
             // The roles are free before the robots know that the gateway ends.
-            drop(guests);
+            drop(remote_robots);
             // A run that was stopped is over for the robots too; one that lost its gateway is not.
             if rendezvous.is_finished() || rendezvous.is_ending() {
                 let _ = finished.send(true);
@@ -197,7 +197,7 @@ fn wait_on_bus(rendezvous: &Rendezvous, sender: Sender<Input>, is_over: &AtomicB
 }
 
 async fn serve(
-    guests: &mut Guests<'_>,
+    remote_robots: &mut RemoteRobots<'_>,
     inputs: &mut Receiver<Input>,
     (rendezvous, lease): (&Rendezvous, &RoleLease),
     (termination, is_deaf): (&Termination, impl Fn() -> bool),
@@ -207,18 +207,18 @@ async fn serve(
         let now_ns = monotonic_ns();
         lease.renew(now_ns);
         rendezvous.look_for_removal(now_ns)?;
-        let wait = until(guests.wakes_at_ns()).min(LOOK);
+        let wait = until(remote_robots.wakes_at_ns()).min(LOOK);
         let mut next = tokio::time::timeout(wait, inputs.recv()).await.ok().flatten();
         may_have_ended = false;
         while let Some(input) = next {
             // To look each time costs more than to relay a frame.
             may_have_ended |= matches!(input, Input::Bus(events) if events.has(Event::Finished) || events.is_empty());
-            guests.on_input(input)?;
+            remote_robots.on_input(input)?;
             next = inputs.try_recv().ok();
         }
-        guests.publish_drives()?;
-        guests.send_frames();
-        guests.look(monotonic_ns());
+        remote_robots.publish_drives()?;
+        remote_robots.send_frames();
+        remote_robots.look(monotonic_ns());
         if is_deaf() {
             return Err(GatewayError::Deaf);
         }

@@ -92,7 +92,7 @@ impl RefusalCause {
             AlertDescription::CertificateRequired => Self::NoCertificate,
             AlertDescription::UnknownCA => Self::UnknownAuthority,
             AlertDescription::CertificateExpired => Self::Expired,
-            // What `GatewayOnly` answers, and nothing else.
+            // The answer of `GatewayOnly`, and of nothing else.
             AlertDescription::AccessDenied => Self::NotGateway,
             AlertDescription::BadCertificate
             | AlertDescription::UnsupportedCertificate

@@ -59,7 +59,7 @@ impl KeysArgs {
     fn make(&self) -> Result<bool, KeysError> {
         let hosts = self.all_hosts();
         let mut names = HashSet::new();
-        // What would be refused is refused before anything is written.
+        // Wrong hosts are refused before anything is written.
         for host in &hosts {
             if !names.insert(host.name.as_str()) {
                 return Err(KeysError::Twice(host.name.as_str().to_owned()));
@@ -84,7 +84,7 @@ impl KeysArgs {
         Ok(is_new)
     }
 
-    /// What was made, and what to do next.
+    /// The files that were made, and the next steps of the user.
     fn report(&self, authority_is_new: bool) -> String {
         let hosts = self.all_hosts();
         let mut made = String::new();
@@ -189,7 +189,7 @@ mod tests {
     }
 
     #[test]
-    fn what_exists_is_never_replaced() {
+    fn existing_files_are_never_replaced() {
         let place = TempDir::new().unwrap();
         let out = place.path().join("keys");
         carry_out(&out, "--host alice=0").unwrap();

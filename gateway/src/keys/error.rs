@@ -34,7 +34,7 @@ pub enum KeysError {
         path: PathBuf,
         /// The expected contents.
         expected: &'static str,
-        /// What is wrong.
+        /// The problem.
         reason: String,
     },
     /// Certificate and key of a folder are not a pair.

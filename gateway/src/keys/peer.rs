@@ -79,7 +79,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_certificate_is_refused() {
+    fn bytes_that_are_no_certificate_are_refused() {
         for chain in [vec![], vec![vec![]], vec![vec![0x30, 0x82, 0xff, 0xff]], vec![vec![0xff; 4_096]]] {
             let chain: Vec<_> = chain.into_iter().map(CertificateDer::from).collect();
             assert!(matches!(Peer::of(&chain), Err(KeysError::Peer(_))), "{chain:?}");

@@ -58,7 +58,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_is_made_of_keys_is_made_again_once_for_each_change_and_kept_if_they_are_bad() {
+    fn a_configuration_is_made_again_once_for_each_change_of_the_keys_and_kept_if_they_are_bad() {
         let place = tempfile::TempDir::new().unwrap();
         let certificate = place.path().join(HOST_CERTIFICATE);
         let made = Cell::new(0);

@@ -12,7 +12,7 @@ use rangehound_robot::drive::{Actuator, SimulatedActuator};
 use rangehound_robot::machine::{Action, Machine};
 use rangehound_robot::pose::{self, PoseSource};
 use rangehound_robot::remote::wire::Downlink;
-use rangehound_robot::remote::{Courier, Rejoin, RunLife, silence_max_ns};
+use rangehound_robot::remote::{Rejoin, RobotEnd, RunLife, silence_max_ns};
 use rangehound_robot::sensor::{self, Sensor, measure};
 use rangehound_shared::message::Command;
 use rangehound_shared::scenario::Scenario;
@@ -150,7 +150,7 @@ struct Driver<E> {
 struct Part {
     of: RunLife,
     machine: Machine,
-    courier: Courier,
+    robot_end: RobotEnd,
     equipment: Equipment,
     is_moving: bool,
     /// A frame that is invalid was reported.
@@ -212,7 +212,7 @@ impl<E: FnMut(&Scenario) -> Option<Equipment>> Driver<E> {
             if let Some(open) = &mut session {
                 part.send(open);
                 let silent_ns = monotonic_ns().saturating_sub(open.joined_ns);
-                if part.courier.silence_ns(monotonic_ns()).unwrap_or(u64::MAX).min(silent_ns)
+                if part.robot_end.silence_ns(monotonic_ns()).unwrap_or(u64::MAX).min(silent_ns)
                     > silence_max_ns(open.round_trip_ns())
                 {
                     open.close(link::SILENT, "the gateway is silent");
@@ -245,8 +245,8 @@ impl<E: FnMut(&Scenario) -> Option<Equipment>> Driver<E> {
         let machine = machine.ok_or_else(|| format!("robot {} is not in this run", self.id))?;
         let equipment = equipment.or_else(|| (self.equipment)(scenario));
         let equipment = equipment.ok_or_else(|| format!("its driver has no equipment for robot {}", self.id))?;
-        let courier = Courier::new(*run_id, scenario.clock);
-        self.part = Some(Part { of, machine, courier, equipment, is_moving: false, has_reported_frame: false });
+        let robot_end = RobotEnd::new(*run_id, scenario.clock);
+        self.part = Some(Part { of, machine, robot_end, equipment, is_moving: false, has_reported_frame: false });
         self.has_joined = true;
         Ok(())
     }
@@ -255,7 +255,7 @@ impl<E: FnMut(&Scenario) -> Option<Equipment>> Driver<E> {
 impl Part {
     /// How long it may sleep. Without a link no frame is due.
     fn wait(&self, is_linked: bool) -> Duration {
-        let due = [self.machine.wakes_at_ns(), self.courier.wakes_at_ns().filter(|_| is_linked)];
+        let due = [self.machine.wakes_at_ns(), self.robot_end.wakes_at_ns().filter(|_| is_linked)];
         due.into_iter().flatten().map(until).min().unwrap_or(LOOK).min(LOOK)
     }
 
@@ -272,7 +272,7 @@ impl Part {
                 return;
             }
         };
-        self.courier.on_downlink(&frame, now_ns);
+        self.robot_end.on_downlink(&frame, now_ns);
         if let Some(world) = &frame.world {
             let (header, entry) = world.message(self.of.run_id);
             self.machine.on_own_world(&header, &entry, now_ns);
@@ -307,8 +307,8 @@ impl Part {
                     let driven = actuator.carry_out(command);
                     self.machine.carried_out(driven);
                 }
-                Action::SendRange => self.machine.range().iter().for_each(|message| self.courier.on_range(message)),
-                Action::SendDrive(message) => self.courier.on_drive(&message),
+                Action::SendRange => self.machine.range().iter().for_each(|message| self.robot_end.on_range(message)),
+                Action::SendDrive(message) => self.robot_end.on_drive(&message),
                 // The gateway notifies the nodes on its host.
                 Action::Notify(_) => {}
             }
@@ -316,7 +316,7 @@ impl Part {
     }
 
     fn send(&mut self, session: &Session) {
-        while let Some(frame) = self.courier.next_frame(monotonic_ns()) {
+        while let Some(frame) = self.robot_end.next_frame(monotonic_ns()) {
             session.send(frame.to_bytes());
         }
     }

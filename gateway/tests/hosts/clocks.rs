@@ -113,7 +113,7 @@ fn a_robot_with_another_clock_stops_when_nobody_leads_it() {
     for (id, robot) in robots.into_iter().enumerate() {
         let is_tick = |(asked, _): &(Asked, u64)| matches!(asked, Asked::Tick(_));
         let is_stop = |(asked, _): &(Asked, u64)| *asked == Asked::Drive(0.0);
-        // What it was asked for from its last tick until it stopped.
+        // The requests to it from its last tick until it stopped.
         let all = run.wait_for("its stop", || {
             let mut all = asked(&robot);
             let last = all.iter().rposition(is_tick)?;

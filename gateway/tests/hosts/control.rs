@@ -23,7 +23,7 @@ fn only_robots_whose_host_allows_it_are_ended_from_the_runs_host() {
     let obeys = run.start_by(SERVICE, &format!("robot --id 0 --connect {} --allow-remote-control", link.address));
     let mut refuses = run.robot(1, gateway);
     run.wait_until_tick(50);
-    run.wait_for("the links", || (run.status()?["gateway"]["guests"].as_array()?.len() == 2).then_some(()));
+    run.wait_for("the links", || (run.status()?["gateway"]["robots"].as_array()?.len() == 2).then_some(()));
     let name = &run.name;
 
     // Never the gateway, which holds its role.
@@ -44,8 +44,8 @@ fn only_robots_whose_host_allows_it_are_ended_from_the_runs_host() {
     let wait_for_its_link = || {
         run.wait_for("its link", || {
             let status = run.status()?;
-            let guests = status["gateway"]["guests"].as_array()?;
-            guests.iter().any(|guest| guest["robot"] == 0 && guest["allows_control"] == true).then_some(())
+            let robots = status["gateway"]["robots"].as_array()?;
+            robots.iter().any(|joined| joined["robot"] == 0 && joined["allows_control"] == true).then_some(())
         });
     };
     wait_for_its_link();
@@ -83,7 +83,7 @@ fn only_robots_whose_host_allows_it_are_ended_from_the_runs_host() {
     std::fs::write(run.path("over"), "").unwrap();
     run.finish_ok(&format!("stop --name {name}"));
     drop(supervisor);
-    // It is told that the run was stopped.
+    // It receives the notice that the run was stopped.
     refuses.succeeds();
     run.assert_nothing_left();
 }
@@ -136,8 +136,8 @@ fn the_buttons_of_the_live_page_act_on_robots_whose_host_allows_it() {
     let is_linked = |robot: usize| {
         run.wait_for("its link", || {
             let status = run.status()?;
-            let guests = status["gateway"]["guests"].as_array()?;
-            guests.iter().any(|guest| guest["robot"] == robot).then_some(())
+            let robots = status["gateway"]["robots"].as_array()?;
+            robots.iter().any(|joined| joined["robot"] == robot).then_some(())
         });
     };
     [0, 1].into_iter().for_each(is_linked);

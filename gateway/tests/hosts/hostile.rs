@@ -138,7 +138,7 @@ fn hostile_frames_of_a_certified_robot_are_refused_by_cause_and_cost_no_memory()
                 }
             }
             robot.send_all(at_least, || good.clone()).await;
-            // What was sent before is read before.
+            // Frames are read in the order in which they were sent.
             let before = run.refused("damaged frame");
             while run.refused("damaged frame") == before {
                 robot.send_all(1, Vec::new).await;
@@ -292,7 +292,7 @@ fn hostile_requests_are_refused_by_cause_and_cost_no_memory() {
     let mut random = ChaCha8Rng::seed_from_u64(1);
     let mut noise = |len: usize| (0..len).map(|_| random.random()).collect::<Vec<u8>>();
     let versions = format!("(protocol {}), the run's host has", PROTOCOL + 1);
-    // What is sent, the cause that is counted, and what the robot reads.
+    // The bytes sent, the cause that is counted, and a part of the reason that the robot reads.
     let kinds: [(Vec<u8>, &str, &str); 5] = [
         (framed(&noise(200)), "other", "not a message of rangehound"),
         (framed(&good)[..good.len() / 2].to_vec(), "other", "a message that is cut"),
@@ -306,14 +306,14 @@ fn hostile_requests_are_refused_by_cause_and_cost_no_memory() {
         let before = run.refused(cause);
         block_on(async {
             let mut asking = JoinSet::new();
-            let mut told = 0;
-            while told < EACH {
+            let mut refused_count = 0;
+            while refused_count < EACH {
                 while asking.len() < AT_ONCE {
                     asking.spawn_local(read_refusal(gateway, config.clone(), bytes.clone()));
                 }
                 if let Some(text) = asking.join_next().await.unwrap().unwrap() {
                     assert!(text.contains(reason), "{cause}: {text}");
-                    told += 1;
+                    refused_count += 1;
                 }
             }
         });
@@ -330,7 +330,7 @@ fn hostile_requests_are_refused_by_cause_and_cost_no_memory() {
 
 /// Each notice of a robot is read, not only the first.
 #[test]
-fn a_robot_that_has_said_something_else_before_leaves_in_order() {
+fn a_robot_that_has_sent_another_notice_before_leaves_in_order() {
     let run = Run::new();
     let (supervisor, gateway) = run.run("--clock lockstep --timeout forever --robots 1");
     block_on(async {

@@ -138,7 +138,7 @@ fn remote_robot(run: &Run) -> u32 {
 /// Nothing may stay in the shared memory of a robot's host, and chaos looks there.
 #[test]
 #[cfg_attr(not(namespaces), ignore = "needs network and time namespaces: root, iproute2 and util-linux")]
-fn what_is_left_on_a_robots_host_is_a_broken_promise() {
+fn a_leftover_on_a_robots_host_is_a_broken_promise() {
     let run = Run::new();
     let words = "chaos --hosts 2 --robots 2 --faults 1 --rate 1 --kinds kill --roles sim --ticks 3000";
     let chaos = run.start(&format!("{words} --name {} --out out", run.name));
@@ -149,7 +149,7 @@ fn what_is_left_on_a_robots_host_is_a_broken_promise() {
 }
 
 #[test]
-fn a_system_without_the_tools_for_hosts_is_told_what_is_missing() {
+fn a_system_without_the_tools_for_hosts_is_refused_with_their_names() {
     for study in ["chaos", "latency"] {
         let run = Run::new();
         let process = run.start_by("PATH= exec \"$@\"", &format!("{study} --hosts 2 --robots 2 --out out"));

@@ -1,5 +1,5 @@
 //! A robot with equipment of its own, in a process of its own: it prints what its equipment is asked for and when, on its own
-//! clock. What it prints is read by the tests.
+//! clock. The tests read its output.
 
 use std::fmt::Write as _;
 use std::net::SocketAddr;

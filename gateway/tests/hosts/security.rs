@@ -474,7 +474,7 @@ fn renewed_keys_are_read_again_by_gateway_and_robot() {
         assert!(robot.is_running());
         renew(host.clone(), path);
         goes_on();
-        // What cannot be read is not used, and each end says so once.
+        // Files that cannot be read are not used, and each end reports it once.
         std::fs::write(run.path(path).join("host.pem"), "no certificate").unwrap();
         open_link_again();
         goes_on();

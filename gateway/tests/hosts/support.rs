@@ -203,7 +203,7 @@ impl Run {
     /// Robots that have joined through the gateway.
     pub(crate) fn links(&self) -> usize {
         let status = self.status();
-        status.and_then(|status| Some(status["gateway"]["guests"].as_array()?.len())).unwrap_or(0)
+        status.and_then(|status| Some(status["gateway"]["robots"].as_array()?.len())).unwrap_or(0)
     }
 
     pub(crate) fn shared_folder(&self) -> PathBuf {

@@ -1,4 +1,4 @@
-//! The description of a run: the founder writes it, all other nodes read it.
+//! The description of a run: the creator writes it, all other nodes read it.
 
 use std::path::PathBuf;
 

@@ -46,12 +46,12 @@ pub enum RendezvousError {
         /// Why.
         reason: SealError,
     },
-    /// The run was founded by a build with another protocol.
+    /// The run was created by a build with another protocol.
     #[error("run {name} was started by {build}: use one version for all its nodes")]
     OtherBuild {
         /// The run.
         name: RunName,
-        /// The build that founded it.
+        /// The build that created it.
         build: OtherBuild,
     },
     /// The wait groups cannot be created.

@@ -4,9 +4,9 @@
 //!
 //! | file | what |
 //! |---|---|
-//! | `membership.lock` | the membership lock: held briefly to found, join or leave the run |
+//! | `membership.lock` | the membership lock: held briefly to create, join or leave the run |
 //! | `members` | locked (shared) by every live member: if an exclusive lock succeeds, the run is dead |
-//! | `run` | the sealed [`RunDescription`]: exists once the founder lets nodes join |
+//! | `run` | the sealed [`RunDescription`]: exists once the creator lets nodes join |
 //! | `iceoryx2.toml` | prefix and root of the run's shared memory |
 //! | `<role>.role` | locked by the process that holds the role; see [`Roster`] |
 //! | `ending` | exists once the supervisor ends the run |
@@ -16,7 +16,7 @@
 //!
 //! All locks are kernel locks: a process that dies, for whatever reason, releases them at once. The
 //! last member to leave removes the folder and the shared memory. If the last member was killed, the
-//! next founder of any run removes them.
+//! next creator of any run removes them.
 
 mod description;
 mod error;
@@ -50,12 +50,12 @@ use presence::Presence;
 pub use role::Role;
 pub use roster::{RoleLease, Roster, Succession};
 
-/// Poll interval of a joiner that waits for its run to be founded.
+/// Poll interval of a joiner that waits for its run to be created.
 const JOIN_POLL: Duration = Duration::from_millis(20);
 
-/// How long a founder retries before it calls a name taken: a killed process keeps its locks until the kernel has
+/// How long a creator retries before it calls a name taken: a killed process keeps its locks until the kernel has
 /// removed it.
-const DYING: Duration = Duration::from_millis(500);
+const LOCK_RELEASE_MAX: Duration = Duration::from_millis(500);
 
 /// Longest note, bytes: that of a gateway with the largest team.
 const NOTE_LEN_MAX: usize = 1 << 17;
@@ -66,11 +66,11 @@ pub const LIVE_NOTE: &str = "live";
 /// The note of a supervisor that ends its run: nodes are not restarted any more, and the results are written.
 pub const ENDING_NOTE: &str = "ending";
 
-/// A run that this process has founded and that no node can join yet: its folder is prepared meanwhile. On drop it is removed.
+/// A run that this process has created and that no node can join yet: its folder is prepared meanwhile. On drop it is removed.
 #[derive(Debug)]
-pub struct Founded(Rendezvous);
+pub struct Created(Rendezvous);
 
-impl Founded {
+impl Created {
     /// Lets nodes join.
     ///
     /// # Errors
@@ -99,36 +99,36 @@ pub struct Rendezvous {
 }
 
 impl Rendezvous {
-    /// Founds a run under this name and becomes its first member. Leftovers of dead runs, of this
+    /// Creates a run under this name and becomes its first member. Leftovers of dead runs, of this
     /// name or another, are removed; a live run is never touched.
     ///
     /// # Errors
     /// [`RendezvousError::Taken`] if a run of this name lives; others if the system refuses.
-    pub fn found(name: &RunName, description: RunDescription) -> Result<Self, RendezvousError> {
-        Self::found_closed(name, description)?.open()
+    pub fn create(name: &RunName, description: RunDescription) -> Result<Self, RendezvousError> {
+        Self::create_closed(name, description)?.open()
     }
 
-    /// As [`Self::found`], but no node can join yet.
+    /// As [`Self::create`], but no node can join yet.
     ///
     /// # Errors
-    /// As [`Self::found`].
-    pub fn found_closed(name: &RunName, description: RunDescription) -> Result<Founded, RendezvousError> {
-        Self::found_within(DYING, name, description)
+    /// As [`Self::create`].
+    pub fn create_closed(name: &RunName, description: RunDescription) -> Result<Created, RendezvousError> {
+        Self::create_within(LOCK_RELEASE_MAX, name, description)
     }
 
-    /// As [`Self::found_closed`], but fails at once if the name is taken: for a caller that can use another name.
+    /// As [`Self::create_closed`], but fails at once if the name is taken: for a caller that can use another name.
     ///
     /// # Errors
-    /// As [`Self::found`].
-    pub fn found_closed_if_free(name: &RunName, description: RunDescription) -> Result<Founded, RendezvousError> {
-        Self::found_within(Duration::ZERO, name, description)
+    /// As [`Self::create`].
+    pub fn create_closed_if_free(name: &RunName, description: RunDescription) -> Result<Created, RendezvousError> {
+        Self::create_within(Duration::ZERO, name, description)
     }
 
-    fn found_within(
+    fn create_within(
         timeout: Duration,
         name: &RunName,
         description: RunDescription,
-    ) -> Result<Founded, RendezvousError> {
+    ) -> Result<Created, RendezvousError> {
         let robots = description.scenario.robots.len();
         resources::provide_files(robots)?;
         resources::look_for_shared_memory()?;
@@ -152,10 +152,10 @@ impl Rendezvous {
         place.write("iceoryx2.toml", place.iceoryx2_config().as_bytes())?;
         wait_groups::create(place.prefix())?;
         members.lock_shared().map_err(|source| place.io_error("members", source))?;
-        Ok(Founded(Self::member(place, description, members)))
+        Ok(Created(Self::member(place, description, members)))
     }
 
-    /// Joins the run of this name, waiting for it to be founded. `waiting` is called once if the run does not exist yet.
+    /// Joins the run of this name, waiting until it exists. `waiting` is called once if the run does not exist yet.
     ///
     /// # Errors
     /// [`RendezvousError`], [`RendezvousError::Terminated`] among them.
@@ -175,7 +175,7 @@ impl Rendezvous {
         Err(RendezvousError::Terminated)
     }
 
-    /// Joins the run of this name if it has been founded and a member of it lives.
+    /// Joins the run of this name if it has been created and a member of it lives.
     ///
     /// # Errors
     /// [`RendezvousError`].
@@ -198,12 +198,12 @@ impl Rendezvous {
             Err(TryLockError::WouldBlock) => {}
             Err(TryLockError::Error(source)) => return Err(place.io_error("members", source)),
         }
-        // Its founder has not opened it yet.
+        // Its creator has not opened it yet.
         if !place.path("run").exists() {
             return Ok(None);
         }
         members.lock_shared().map_err(|source| place.io_error("members", source))?;
-        // A run with a member is neither removed nor founded anew, so others may join while this process reads.
+        // A run with a member is neither removed nor created anew, so others may join while this process reads.
         drop(lock);
         let sealed =
             bounded::read(&place.path("run"), sealed::FILE_LEN_MAX).map_err(|source| place.io_error("run", source))?;
@@ -220,13 +220,13 @@ impl Rendezvous {
         Self { place, roster, description, presence, ending, members: Some(members) }
     }
 
-    /// Founds the run again after its shared memory was removed from outside. Remains of it are removed too, so that
+    /// Creates the run again after its shared memory was removed from outside. Remains of it are removed too, so that
     /// processes that still use them see that the run is over. Incarnations continue from the old roles. All
     /// nodes must have ended.
     ///
     /// # Errors
-    /// As [`Self::found`].
-    pub fn found_again(self, starts: &[(Role, u64)]) -> Result<Self, RendezvousError> {
+    /// As [`Self::create`].
+    pub fn recreate(self, starts: &[(Role, u64)]) -> Result<Self, RendezvousError> {
         let (name, description) = (self.name().clone(), self.description.clone());
         {
             // A failed lock means that it was removed.
@@ -234,7 +234,7 @@ impl Rendezvous {
             self.place.remove();
         }
         drop(self);
-        let again = Self::found_closed(&name, description)?;
+        let again = Self::create_closed(&name, description)?;
         for (role, starts) in starts {
             again.0.roster.count_from(*role, *starts)?;
         }
@@ -269,7 +269,7 @@ impl Rendezvous {
         Inspection::of(&self.place)
     }
 
-    /// Leaves the run but keeps observing it: founding or resuming the run does not wait for this process.
+    /// Leaves the run but keeps observing it: creating or resuming the run does not wait for this process.
     #[must_use]
     pub fn observe(self) -> Self {
         let mut observer = self;
@@ -280,13 +280,13 @@ impl Rendezvous {
     /// A number of this life of the run: a run that is resumed has another one, and counts incarnations from the start again.
     #[must_use]
     pub fn life(&self) -> u64 {
-        let founded = std::fs::metadata(self.place.path("run")).and_then(|run| run.modified());
-        let since = founded.ok().and_then(|founded| founded.duration_since(UNIX_EPOCH).ok());
+        let created = std::fs::metadata(self.place.path("run")).and_then(|run| run.modified());
+        let since = created.ok().and_then(|created| created.duration_since(UNIX_EPOCH).ok());
         since.map_or(0, |since| since.as_nanos() as u64)
     }
 
     /// Leaves the run while a thread of this process, which holds a role, still hangs: frees the role for a successor, and does
-    /// not keep the run alive. What that thread does later has no effect.
+    /// not keep the run alive. Later actions of that thread have no effect.
     pub fn abandon(&self, role: Role) {
         let is_held_here = self.roster.holder(role) == Some(rustix::process::getpid());
         if let Some(silent_since) = self.roster.last_heartbeat(role).filter(|_| is_held_here) {
@@ -297,10 +297,10 @@ impl Rendezvous {
     }
 
     /// Leaves the run; the last member removes it. Errors are not reported: no caller could act on them,
-    /// and the next founder tries again.
+    /// and the next creator tries again.
     fn leave(&self) {
         // If the folder was removed from outside, some of the run's shared memory may remain. The membership lock ensures that
-        // it does not belong to a new founder of this name.
+        // it does not belong to a new creator of this name.
         let is_folder_gone = self.members.is_some() && !self.place.dir().exists();
         let Ok(_lock) = self.place.lock(is_folder_gone) else { return };
         if let Some(members) = &self.members {
@@ -484,7 +484,7 @@ fn continue_orphans(place: &Place) {
     }
 }
 
-/// Removes this user's dead runs, except the one that is about to be founded.
+/// Removes this user's dead runs, except the one that is about to be created.
 fn remove_dead_runs(but: &RunName) {
     for name in run_names().filter(|name| name != but) {
         let place = Place::of(&name);
@@ -500,11 +500,11 @@ fn remove_dead_runs(but: &RunName) {
 /// A run of the default scenario under a name that no other process has.
 #[cfg(test)]
 #[allow(clippy::unwrap_used, reason = "a test that cannot go on should panic")]
-pub(crate) fn found_for_test(name: &str) -> Rendezvous {
+pub(crate) fn create_for_test(name: &str) -> Rendezvous {
     use rangehound_shared::scenario::{Scenario, ScenarioFile};
     let name = format!("{name}-{}", std::process::id()).parse().unwrap();
     let scenario = Scenario::from_file(&ScenarioFile::default(), "test").unwrap();
-    Rendezvous::found(&name, RunDescription::new(scenario, PathBuf::new())).unwrap()
+    Rendezvous::create(&name, RunDescription::new(scenario, PathBuf::new())).unwrap()
 }
 
 #[cfg(test)]
@@ -513,7 +513,7 @@ mod tests {
 
     #[test]
     fn an_abandoned_role_is_free_and_its_holder_keeps_no_run_alive() {
-        let hung = found_for_test("rendezvous-abandon");
+        let hung = create_for_test("rendezvous-abandon");
         let name = hung.name().clone();
         let lease = hung.roster().take(Role::Fusion).unwrap();
         let other = Rendezvous::join_if_alive(&name).unwrap().unwrap();
@@ -523,7 +523,7 @@ mod tests {
         drop(other);
         assert!(!living_runs().contains(&name) && files_of(&name).is_empty());
         // The thread ends at last, when another run has the name.
-        let next = found_for_test("rendezvous-abandon");
+        let next = create_for_test("rendezvous-abandon");
         drop((lease, hung));
         assert!(living_runs().contains(&name) && next.roster().take(Role::Fusion).is_ok());
     }

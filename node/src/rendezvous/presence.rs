@@ -15,16 +15,16 @@ use crate::system::clock::monotonic_ns;
 use crate::system::resources::SHARED_MEMORY;
 
 /// Interval at which a member checks that the run exists.
-const LOOK: Duration = Duration::from_millis(50);
+const POLL_INTERVAL: Duration = Duration::from_millis(50);
 
 /// Nodes whose open files are examined per check: bounds its cost for any team size.
-const NODES_PER_LOOK: usize = 4;
+const NODES_PER_CHECK: usize = 4;
 
-/// A removed file that a node holds open for this long is still needed: closing never takes that long.
-const SURE: Duration = Duration::from_millis(250);
+/// Longest time in which a node closes a removed file: a file that it holds open for longer is still needed.
+const CLOSING_MAX: Duration = Duration::from_millis(250);
 
 /// Files that every member needs until the run ends.
-const FOUNDATION: [&str; 4] = [MEMBERSHIP_LOCK, "members", "run", "iceoryx2.toml"];
+const COMMON_FILES: [&str; 4] = [MEMBERSHIP_LOCK, "members", "run", "iceoryx2.toml"];
 
 /// Suffix that the kernel appends to the name of a removed file.
 const REMOVED: &str = " (deleted)";
@@ -64,7 +64,7 @@ impl Presence {
 
     /// False once the run's folder has been removed or replaced, as of the last check.
     pub(super) fn holds(&self, now_ns: u64) -> bool {
-        if now_ns.saturating_sub(self.looked_ns.load(Relaxed)) < LOOK.as_nanos() as u64 {
+        if now_ns.saturating_sub(self.looked_ns.load(Relaxed)) < POLL_INTERVAL.as_nanos() as u64 {
             return true;
         }
         self.looked_ns.store(now_ns, Relaxed);
@@ -90,7 +90,7 @@ pub struct Inspection {
 impl Inspection {
     pub(super) fn of(place: &Place) -> Self {
         let wait_groups = place.files().into_iter().filter(|path| path.to_string_lossy().ends_with("_wait_groups.dyn"));
-        let common = FOUNDATION.map(|file| place.path(file)).into_iter().chain(wait_groups).map(Known::of).collect();
+        let common = COMMON_FILES.map(|file| place.path(file)).into_iter().chain(wait_groups).map(Known::of).collect();
         Self { place: place.clone(), common, suspects: Vec::new(), next: 0 }
     }
 
@@ -104,7 +104,7 @@ impl Inspection {
         // A suspected node is examined again at the next check.
         let first = suspected.unwrap_or(self.next);
         let examined: Vec<Pid> =
-            nodes.iter().cycle().skip(first).take(nodes.len().min(NODES_PER_LOOK)).copied().collect();
+            nodes.iter().cycle().skip(first).take(nodes.len().min(NODES_PER_CHECK)).copied().collect();
         self.next = (first + examined.len()) % nodes.len().max(1);
         let now = Instant::now();
         let mut found = Vec::new();
@@ -115,19 +115,19 @@ impl Inspection {
             }
         }
         self.suspects = found;
-        let sure = self.suspects.iter().find(|(_, _, since)| since.elapsed() >= SURE);
+        let sure = self.suspects.iter().find(|(_, _, since)| since.elapsed() >= CLOSING_MAX);
         sure.map(|(_, path, _)| path.clone())
     }
 
     /// The same check of all nodes, repeated until the result is certain.
     pub fn removed_of_any(&mut self, nodes: &[Pid]) -> Option<PathBuf> {
         self.next = 0;
-        for _ in 0..=nodes.len() / NODES_PER_LOOK {
+        for _ in 0..=nodes.len() / NODES_PER_CHECK {
             if let Some(removed) = self.removed(nodes) {
                 return Some(removed);
             }
             if !self.suspects.is_empty() {
-                std::thread::sleep(SURE);
+                std::thread::sleep(CLOSING_MAX);
                 if let Some(removed) = self.removed(nodes) {
                     return Some(removed);
                 }

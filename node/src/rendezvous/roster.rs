@@ -168,7 +168,7 @@ impl Roster {
         Ok(RoleLease::new(role, file, incarnation))
     }
 
-    /// Sets the incarnation count of a role in a run that was founded again, so that each holder has a greater incarnation
+    /// Sets the incarnation count of a role in a run that was created again, so that each holder has a greater incarnation
     /// than all before it.
     pub(super) fn count_from(&self, role: Role, starts: u64) -> Result<(), RendezvousError> {
         if starts == 0 {
@@ -352,7 +352,7 @@ fn write_entry_of(file: &mut File, incarnation: u64, pid: u32) -> std::io::Resul
 
 #[cfg(test)]
 mod tests {
-    use super::super::found_for_test as run;
+    use super::super::create_for_test as run;
     use super::*;
 
     #[test]

@@ -75,7 +75,7 @@ class Vehicle:
         self._command: tuple[float, float, float] | None = None
 
     def take(self, message: Any, now_s: float) -> None:
-        """Takes a message. What is not from the vehicle, or has no finite numbers, is passed over."""
+        """Takes a message. Messages that are not from the vehicle, or have no finite numbers, are passed over."""
         kind, system = message.get_type(), message.get_srcSystem()
         if kind == "HEARTBEAT":
             self._take_heartbeat(message, system, now_s)
@@ -141,7 +141,7 @@ class Vehicle:
         return self.is_armed and self.mode in MODES
 
     def condition(self, now_s: float) -> str:
-        """What it waits for, or that it drives, in words."""
+        """Its state as text: it drives, or the event that it waits for."""
         if self.system is None:
             return "waits for a heartbeat of the vehicle"
         if self._placed_s == -math.inf:
@@ -169,7 +169,7 @@ class Vehicle:
         return x_m + east_m, y_m + north_m, frames.heading_of_yaw(self._yaw_rad), self.std_m or self.settings.pose_std_m
 
     def motion(self, now_s: float) -> tuple[float, float]:
-        """Heading, rad, and speed, m/s, with which it moves, as it says; it stands if it has not said so lately."""
+        """Heading, rad, and speed, m/s, of its motion, as it reports; zero if it has not reported them lately."""
         is_fresh = now_s - self._moved_s <= self.settings.silence_s
         return frames.motion_of_ned(*self._velocity_ned) if is_fresh else (0.0, 0.0)
 

@@ -51,7 +51,7 @@ parameters:  map_frame target_frame base_frame publish_tf markers_rate_hz
              max_speed_mps max_turn_rate_radps heading_gain_per_s
              with --robots also those of python -m rangehound.ros2.robot
 
-What follows --ros-args goes to ROS:
+Arguments after --ros-args go to ROS:
   python -m rangehound.ros2 --name demo
   python -m rangehound.ros2 --name demo --robots 0,1 --ros-args -r __ns:=/team
 
@@ -59,14 +59,14 @@ docs/ros2.md has types, frames, quality of service, and the controller.
 """
 
 
-def main(words: Sequence[str]) -> None:
+def main(argv: Sequence[str]) -> None:
     """Runs the node until the run ends."""
-    words, ros_args = split_ros_args(words)
+    argv, ros_args = split_ros_args(argv)
     arguments = Parser("ros2", "Shows a live run to ROS 2, and lets real robots take part in it.", _HELP)
     arguments.add_argument("--robots", metavar="IDS", help="robots that are real, as in 0,2-5, or all: a process for each of them takes its role in the run")
     arguments.add_argument("--from-start", action="store_true", help="publish all ticks from the first one, not only new ones")
     arguments.add_argument("--stamps", choices=["run", "ros"], help="time of messages: run: the run's own, from 1 s, with the topic /clock; ros: the clock of ROS [default: ros with --robots in real time, else run]")
-    args = arguments.parse_args(words)
+    args = arguments.parse_args(argv)
     with Session("rangehound", ros_args) as session:
         run = _native.Observer(args.name, args.from_start, False, args.wait_s)
         facts = run.describe()
@@ -385,13 +385,13 @@ class Team:
             self.wait()
 
     def _keep(self, robot: int) -> None:
-        words = [sys.executable, "-m", "rangehound.ros2.robot", "--name", self._name, "--id", str(robot), "--end-with", str(os.getpid())]
+        args = [sys.executable, "-m", "rangehound.ros2.robot", "--name", self._name, "--id", str(robot), "--end-with", str(os.getpid())]
         while True:
             with self._lock:
                 if self._is_ending.is_set():
                     return
                 # Ctrl-C reaches this process, which ends the others in order.
-                process = subprocess.Popen([*words, *self._ros_args], stdin=subprocess.DEVNULL, start_new_session=True)
+                process = subprocess.Popen([*args, *self._ros_args], stdin=subprocess.DEVNULL, start_new_session=True)
                 self._processes[robot] = process
             code = process.wait()
             if code == 0 or self._is_ending.is_set():

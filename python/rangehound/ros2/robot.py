@@ -34,17 +34,17 @@ parameters:  map_frame base_frame odom_origin max_age_s odom_max_age_s
              heading_gain_per_s
 
 `python -m rangehound.ros2 --robots` starts this for each real robot.
-What follows --ros-args goes to ROS.
+Arguments after --ros-args go to ROS.
 """
 
 
-def main(words: Sequence[str]) -> None:
+def main(argv: Sequence[str]) -> None:
     """Takes part in the run until it ends. The last command is to stop."""
-    words, ros_args = split_ros_args(words)
+    argv, ros_args = split_ros_args(argv)
     arguments = Parser("ros2.robot", "A real robot takes part in a live run, by topics of ROS 2.", _HELP)
     arguments.add_argument("--id", required=True, type=int, metavar="N", help="number of the robot in the team, from 0")
     arguments.add_argument("--end-with", type=int, metavar="PID", help="end when this process ends")
-    args = arguments.parse_args(words)
+    args = arguments.parse_args(argv)
     if args.end_with is not None:
         end_with(args.end_with)
     with Session(f"rangehound_robot_{args.id}" if args.id >= 0 else "rangehound_robot", ros_args) as session:
@@ -220,7 +220,7 @@ class Bridge:
         return at.x_m, at.y_m, at.yaw_rad, *at.covariance_m2, at.yaw_std_rad
 
     def measure(self, robot: int, tick: int, range_m: float, bearing_rad: float) -> tuple[float, ...] | None:
-        """What the sensors have measured since the last tick."""
+        """The measurements of the sensors since the last tick."""
         ranged, bearing = self._measured_now
         if ranged is None and bearing is None:
             return None

@@ -1,4 +1,4 @@
-"""What the nodes share: rclpy, the message types that are installed, the command line, and an end in order."""
+"""The common parts of the nodes: rclpy, the message types that are installed, the command line, and an end in order."""
 
 from __future__ import annotations
 
@@ -31,13 +31,13 @@ def complain(problem: object) -> None:
         print(f"rangehound.ros2: {' '.join(str(problem).split())}", file=sys.stderr, flush=True)
 
 
-def split_ros_args(words: Sequence[str]) -> tuple[list[str], list[str]]:
-    """Words of the command line: those of this program, and those from `--ros-args` up to a `--`, which are for rclpy."""
-    if "--ros-args" not in words:
-        return list(words), []
-    start = list(words).index("--ros-args")
-    end = list(words).index("--", start) if "--" in words[start:] else len(words)
-    return [*words[:start], *words[end + 1 :]], list(words[start:end])
+def split_ros_args(argv: Sequence[str]) -> tuple[list[str], list[str]]:
+    """Arguments of the command line: those of this program, and those from `--ros-args` up to a `--`, which are for rclpy."""
+    if "--ros-args" not in argv:
+        return list(argv), []
+    start = list(argv).index("--ros-args")
+    end = list(argv).index("--", start) if "--" in argv[start:] else len(argv)
+    return [*argv[:start], *argv[end + 1 :]], list(argv[start:end])
 
 
 class Parser(_command.Parser):

@@ -18,7 +18,7 @@ from .. import _native
 
 
 class Limits(NamedTuple):
-    """What a robot can do."""
+    """The limits of a robot's motion."""
 
     #: Greatest forward speed v_max, m/s.
     max_speed_mps: float

@@ -9,7 +9,7 @@ use rangehound_shared::message::{Command, Drive, Header, Outgoing, Range, WorldE
 use rangehound_shared::scenario::{Scenario, ScenarioFile};
 
 use super::wire::{Downlink, Driven, FrameError, Measured, REMEMBERED_TICKS, Uplink};
-use super::{Courier, Publication, Relay};
+use super::{Publication, Relay, RobotEnd};
 use crate::machine::{Action, Machine};
 
 const RUN_ID: u64 = 9;
@@ -40,7 +40,7 @@ struct Bench {
     /// How far the robot's clock is ahead, ns.
     ahead_ns: u64,
     machine: Machine,
-    courier: Courier,
+    robot_end: RobotEnd,
     relay: Relay,
     /// Frames of a burst that are still to be lost, to the gateway and to the robot.
     lose: [u32; 2],
@@ -69,7 +69,7 @@ impl Bench {
             ahead_ns: random.random_range(0..7_200_000_000_000),
             random,
             machine,
-            courier: Courier::new(RUN_ID, scenario.clock),
+            robot_end: RobotEnd::new(RUN_ID, scenario.clock),
             relay: Relay::new(RUN_ID, ROBOT, &scenario, 0),
             lose: [0; 2],
             to_robot: Vec::new(),
@@ -136,7 +136,7 @@ impl Bench {
         };
         for (_, bytes) in due(&mut self.to_robot, self.now_ns) {
             let frame = Downlink::from_bytes(&bytes, RUN_ID).unwrap();
-            self.courier.on_downlink(&frame, local_ns);
+            self.robot_end.on_downlink(&frame, local_ns);
             if let Some(world) = frame.world {
                 let (header, entry) = world.message(RUN_ID);
                 self.machine.on_own_world(&header, &entry, local_ns);
@@ -154,14 +154,14 @@ impl Bench {
                     self.machine.measured(measurement_of(tick), local_ns);
                 }
                 Some(Action::CarryOut(command)) => self.machine.carried_out(command),
-                Some(Action::SendRange) => self.courier.on_range(&self.machine.range().unwrap()),
-                Some(Action::SendDrive(message)) => self.courier.on_drive(&message),
+                Some(Action::SendRange) => self.robot_end.on_range(&self.machine.range().unwrap()),
+                Some(Action::SendDrive(message)) => self.robot_end.on_drive(&message),
                 Some(Action::Notify(_)) => {}
                 None if std::mem::take(&mut provides) => self.machine.before_sleep(),
                 None => break,
             }
         }
-        if let Some(frame) = self.courier.next_frame(local_ns) {
+        if let Some(frame) = self.robot_end.next_frame(local_ns) {
             let bytes = frame.to_bytes();
             self.lens[1].push(bytes.len());
             let arrivals = self.arrivals(false);
@@ -268,7 +268,7 @@ fn a_good_link_needs_no_repeats_and_its_time_is_measured() {
 /// The waits of a range and its heading at either end are measured apart from the link's time, by the clock of that end.
 #[test]
 fn the_time_beyond_the_runs_host_has_its_parts() {
-    let Bench { mut courier, mut relay, .. } = Bench::new("lockstep", 3, GOOD);
+    let Bench { mut robot_end, mut relay, .. } = Bench::new("lockstep", 3, GOOD);
     let of_tick =
         |tick| Outgoing { tick, valid_at_s: 0.5, entry: Range { robot: ROBOT as u64, measurement: measurement_of(5) } };
     // The robot's clock shows hours more.
@@ -276,22 +276,22 @@ fn the_time_beyond_the_runs_host_has_its_parts() {
     let header = Header { run_id: RUN_ID, incarnation: 1, tick: 5, valid_at_s: 0.5, sent_ns: 0 };
     relay.on_world(&header, &WorldEntry::default());
     // The measurement leaves 50 ns after it was ready.
-    courier.on_range(&of_tick(5));
-    let frame = courier.next_frame(robots_ns(150)).unwrap();
+    robot_end.on_range(&of_tick(5));
+    let frame = robot_end.next_frame(robots_ns(150)).unwrap();
     assert!(matches!(relay.on_uplink(&frame, 1_000).unwrap()[..], [Publication::Range(..)]));
     // The heading leaves the gateway 5 ns after it came, and again later; 30 ns after it came the robot has it.
     relay.on_heading(&header, command_of(5), 2_000);
     let frame = relay.next_frame(2_005).unwrap();
-    courier.on_downlink(&frame, robots_ns(1_670));
-    courier.on_downlink(&relay.next_frame(1_000_000_000).unwrap(), robots_ns(1_690));
+    robot_end.on_downlink(&frame, robots_ns(1_670));
+    robot_end.on_downlink(&relay.next_frame(1_000_000_000).unwrap(), robots_ns(1_690));
     let drive = Drive {
         robot: ROBOT as u64,
         range_sent_ns: robots_ns(100),
         heading_held_ns: robots_ns(1_700),
         ..Drive::default()
     };
-    courier.on_drive(&Outgoing { tick: 5, valid_at_s: 0.5, entry: drive });
-    let frame = courier.next_frame(robots_ns(1_710)).unwrap();
+    robot_end.on_drive(&Outgoing { tick: 5, valid_at_s: 0.5, entry: drive });
+    let frame = robot_end.next_frame(robots_ns(1_710)).unwrap();
     let [Publication::Drive(Outgoing { entry, .. }, _)] = relay.on_uplink(&frame, 3_000).unwrap()[..] else {
         panic!("no drive")
     };
@@ -324,7 +324,7 @@ fn a_robot_that_starts_again_goes_on_with_the_present_tick() {
             if !std::mem::replace(&mut is_killed, true) {
                 let Scenario { clock, .. } = bench.scenario;
                 bench.machine = Machine::new(&bench.scenario, ROBOT, 0).unwrap();
-                bench.courier = Courier::new(RUN_ID, clock);
+                bench.robot_end = RobotEnd::new(RUN_ID, clock);
                 bench.relay = Relay::new(RUN_ID, ROBOT, &bench.scenario, 0);
                 bench.send_world(1, tick);
             }
@@ -501,15 +501,15 @@ fn headings_come_soon_over_a_link_that_loses_bursts() {
 
 /// After a long cut, all that has gathered is sent at once.
 #[test]
-fn a_courier_sends_all_that_is_due_in_some_frames() {
-    let mut courier = Courier::new(RUN_ID, rangehound_shared::scenario::Clock::Realtime);
+fn a_robots_end_sends_all_that_is_due_in_some_frames() {
+    let mut robot_end = RobotEnd::new(RUN_ID, rangehound_shared::scenario::Clock::Realtime);
     let kept = REMEMBERED_TICKS / 2;
     for tick in 0..kept {
         let entry = Range { robot: ROBOT as u64, measurement: measurement_of(tick) };
-        courier.on_range(&Outgoing { tick, valid_at_s: 0.0, entry });
+        robot_end.on_range(&Outgoing { tick, valid_at_s: 0.0, entry });
     }
     let mut ticks: Vec<u64> =
-        std::iter::from_fn(|| courier.next_frame(5)).flat_map(|frame| frame.measured).map(|m| m.tick).collect();
+        std::iter::from_fn(|| robot_end.next_frame(5)).flat_map(|frame| frame.measured).map(|m| m.tick).collect();
     ticks.sort_unstable();
     assert_eq!(ticks, (0..kept).collect::<Vec<_>>());
 }

@@ -97,7 +97,7 @@ pub struct WorldRecord {
 /// One robot's part in one tick.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct RobotRecord {
-    /// Where the robot truly was; in a recording, where its localiser said.
+    /// The robot's true pose; in a recording, the pose that its localiser reported.
     pub pose: Pose,
     /// Range that the world gave its sensor, m, if any: the true range, or a recorded one.
     pub range_m: Option<f64>,

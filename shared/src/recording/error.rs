@@ -23,9 +23,9 @@ pub enum Problem {
     Header {
         /// The line of the file, counted from 1.
         line: u64,
-        /// What is wrong.
+        /// The problem.
         wrong: String,
-        /// What was expected, and what to do.
+        /// The expected contents, and the remedy.
         hint: String,
     },
     /// A row is wrong.
@@ -52,9 +52,9 @@ pub enum Problem {
     Empty,
     /// A fault of the file itself.
     File {
-        /// What is wrong.
+        /// The problem.
         wrong: String,
-        /// What was expected, and what to do.
+        /// The expected contents, and the remedy.
         hint: String,
     },
 }

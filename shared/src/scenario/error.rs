@@ -10,7 +10,7 @@ pub enum ScenarioError {
         file: String,
         /// Line, counted from 1.
         line: usize,
-        /// What is wrong.
+        /// The problem.
         problem: String,
         /// The expected text.
         expected: String,
@@ -24,7 +24,7 @@ pub enum ScenarioError {
         line: usize,
         /// Dotted path of the key.
         key: String,
-        /// What is wrong.
+        /// The problem.
         problem: String,
         /// The expected key or value.
         expected: String,

@@ -201,7 +201,7 @@ pub struct PlannerTable {
     pub stand_off_sigma: Option<f64>,
     /// Least distance of robots to each other, m.
     pub separation_m: Option<f64>,
-    /// What is made small: `"trace"`, `"eigenvalue"` or `"determinant"` of the position covariance.
+    /// The quantity that planners minimise: `"trace"`, `"eigenvalue"` or `"determinant"` of the position covariance.
     pub criterion: Option<String>,
 }
 
@@ -217,7 +217,7 @@ pub struct FilterTable {
     pub noise_psd: Option<f64>,
     /// Standard deviation of a range that robots report to the filter, m; default: the robots' own.
     pub range_std_m: Option<f64>,
-    /// What it does about errors of the robots' poses and biases: `"ignored"`, `"inflated"` or `"schmidt"`.
+    /// Treatment of the errors of the robots' poses and biases: `"ignored"`, `"inflated"` or `"schmidt"`.
     pub nuisances: Option<String>,
     /// Which of them it estimates beside the target: `"bias"`, `"pose"`.
     pub estimate: Option<Vec<String>>,

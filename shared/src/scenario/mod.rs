@@ -218,7 +218,7 @@ impl Criterion {
 /// The planners' names.
 pub const PLANNERS: [&str; 8] = ["certified", "adaptive", "standard", "grid", "greedy", "pursue", "random", "horizon"];
 
-/// What to use in place of the grid search for teams that are not [range-only](Scenario::is_range_only).
+/// The alternative to the grid search for teams that are not [range-only](Scenario::is_range_only).
 pub const GRID_INSTEAD: &str = "another planner, such as certified: grid serves only ranges of constant noise, measured by \
                                 robots that know where they are";
 
@@ -346,7 +346,7 @@ impl Scenario {
     }
 }
 
-/// What is wrong and what was expected, from a message such as "unknown field `a`, expected `b`".
+/// The problem and the expected text, from a message such as "unknown field `a`, expected `b`".
 fn split_message(error: &toml::de::Error) -> (String, Option<String>) {
     let message = error.message().lines().collect::<Vec<_>>().join("; ");
     let (problem, expected) = match message.strip_prefix("expected ") {

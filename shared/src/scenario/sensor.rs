@@ -1,4 +1,4 @@
-//! What a robot measures, and the errors that stay: of its sensor and of its own pose.
+//! The measurements of a robot, and the errors that stay: of its sensor and of its own pose.
 
 use std::f64::consts::TAU;
 

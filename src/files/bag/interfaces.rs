@@ -53,7 +53,7 @@ pub const TRANSFORMS: Interface = Interface {
     hash: "RIHS01_e369d0f05a23ae52508854b66f6aa0437f3449d652e8cbf22d5abe85d020f087",
 };
 
-/// What RViz draws. Distributions before Humble have fewer fields.
+/// The markers that RViz draws. Distributions before Humble have fewer fields.
 pub const MARKERS: Interface = Interface {
     name: "visualization_msgs/msg/MarkerArray",
     hash: "RIHS01_86cb8800b6fb05b5eff1abd7a56f62a5641d3ae9a1c29e78e67e704f1d067dcf",

@@ -26,9 +26,9 @@ const SQLITE_MAGIC: &[u8] = b"SQLite format 3\0";
 /// Why a bag is refused: what is wrong with it, and what was expected.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Fault {
-    /// What is wrong.
+    /// The problem.
     pub wrong: String,
-    /// What was expected, and what to do.
+    /// The expected contents, and the remedy.
     pub hint: String,
 }
 

@@ -1,4 +1,4 @@
-//! What to read of a bag, as the user says it: topics, fields, definitions.
+//! The user's selection of a bag's contents: topics, fields, definitions.
 
 use super::Fault;
 

@@ -27,7 +27,7 @@ const ZSTD_MAGIC: &[u8] = &[0x28, 0xB5, 0x2F, 0xFD];
 /// A position counts for this time after the last message of its topic, ns.
 const LAST_NS: i64 = 1_000_000_000;
 
-/// What to read of a bag, as the user says it.
+/// The user's selection of a bag's contents.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Selection<'a> {
     /// Topics with measurements: names with commas between them, and at most one `*` in each.

@@ -53,8 +53,8 @@ impl std::fmt::Display for Report {
         for node in self.nodes.iter().filter(|node| node.starts != 1 || node.kills + node.exits > 0) {
             let NodeSummary { starts, kills, exits, hangs, .. } = node;
             let hung = if *hangs > 0 { format!(", hung {hangs} times") } else { String::new() };
-            let fate = format!("{starts} starts, {kills} kills, {exits} early exits{hung}");
-            writeln!(f, "{}", field_in(DOUBTFUL, &node.title(), fate))?;
+            let history = format!("{starts} starts, {kills} kills, {exits} early exits{hung}");
+            writeln!(f, "{}", field_in(DOUBTFUL, &node.title(), history))?;
         }
         writeln!(f, "{}", field("digest", &self.digest))?;
         write!(f, "{}", self.verdict)

@@ -198,7 +198,7 @@ pub struct Distrust {
     pub robot: usize,
     /// The sensor's name in the recording, or the robot's id.
     pub sensor: String,
-    /// What was not fused: `range` or `bearing`.
+    /// The kind that was not fused: `range` or `bearing`.
     pub kind: &'static str,
     /// The tick after whose range it was distrusted.
     pub from_tick: u64,

@@ -1,4 +1,4 @@
-//! What ROS's diagnostics say of the estimate. The bag writes it, and the node of the Python package publishes it.
+//! The diagnostics of the estimate for ROS. The bag writes them, and the node of the Python package publishes them.
 
 use rangehound_shared::record::{FusionRecord, Use};
 
@@ -113,7 +113,7 @@ mod tests {
     }
 
     #[test]
-    fn who_is_silent_or_distrusted_is_named() {
+    fn silent_and_distrusted_robots_are_named() {
         let stages = Stages { last_range_ns: 1_000, sent_ns: 13_340, ..Stages::default() };
         let heard = [Some((7, Use::Fused)), None, Some((7, Use::Distrusted)), Some((9, Use::Fused))];
         let status = Facts::of(7, 600, &record(2, stages, &heard)).status(3);

@@ -1,4 +1,4 @@
-//! What RViz draws of a tick: the ellipse of the estimate, and for each robot an arrow along its heading, a ray to the target and a circle
+//! The markers of a tick for RViz: the ellipse of the estimate, and for each robot an arrow along its heading, a ray to the target and a circle
 //! with its range. The bag writes these markers, and the node of the Python package publishes them.
 
 use std::f64::consts::TAU;
@@ -212,7 +212,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_seen_of_a_robot_is_what_fusion_heard() {
+    fn the_markers_of_a_robot_show_the_reports_that_fusion_heard() {
         let command = Command { heading_rad: 0.25, speed_mps: 1.0 };
         assert_eq!(Seen::of(&Exchange { heard: None, command }), None);
         for (used, is_rejected) in [(Use::Fused, false), (Use::Rejected, true), (Use::Distrusted, true)] {

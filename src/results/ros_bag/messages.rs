@@ -15,7 +15,7 @@ const MAP: &str = "map";
 /// The frame of the target.
 const TARGET: &str = "target";
 
-/// What a marker is to do: stay until the next one of its name, or go.
+/// Actions of a marker: it stays until the next one of its name, or is deleted.
 const ADD: i32 = 0;
 const DELETE: i32 = 2;
 
@@ -30,7 +30,7 @@ pub enum Topic {
     Truth,
     /// The frames of target and robots.
     Frames,
-    /// What RViz draws.
+    /// The markers that RViz draws.
     Markers,
     /// How the run is.
     Diagnostics,

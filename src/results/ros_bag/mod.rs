@@ -2,12 +2,12 @@
 //!
 //! | module | what |
 //! |---|---|
-//! | [`planar`] | from a run's data to what ROS is told: poses, velocities, twists, stamps |
-//! | [`markers`] | what RViz draws of a tick |
-//! | [`diagnostics`] | what ROS's diagnostics say of a tick |
+//! | [`planar`] | from a run's data to numbers for ROS: poses, velocities, twists, stamps |
+//! | [`markers`] | the markers of a tick for RViz |
+//! | [`diagnostics`] | the diagnostics of a tick for ROS |
 //! | [`messages`] | from that to the bytes of messages |
 //! | [`write`](mod@write) | frames into an MCAP file |
-//! | [`folder`] | the folder, and what `metadata.yaml` says of the file |
+//! | [`folder`] | the folder, and its `metadata.yaml` |
 
 pub mod diagnostics;
 pub mod folder;

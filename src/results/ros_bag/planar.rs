@@ -1,5 +1,5 @@
-//! What ROS is told of a run, as numbers: poses, velocities and twists in the plane, and stamps. The bag writes them, and so does the node of
-//! the Python package.
+//! The numbers of a run that ROS receives: poses, velocities and twists in the plane, and stamps. The bag and the node of the Python package
+//! write them.
 
 use std::f64::consts::PI;
 

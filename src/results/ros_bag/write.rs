@@ -76,7 +76,7 @@ pub struct BagWriter<W: Write + Seek> {
     diagnosed_ns: Option<i64>,
     /// Measurements rejected since the last diagnostics.
     rejected: u64,
-    /// What holds at the newest stamp. A recording may have several ticks for it, of which the last knows most.
+    /// The values at the newest stamp. A recording may have several ticks for it, of which the last knows most.
     newest: Option<Newest>,
 }
 

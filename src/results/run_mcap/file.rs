@@ -25,7 +25,7 @@ use crate::results::frame::Frame;
 const SCENARIO_LEN_MAX: usize = 4 << 20;
 
 /// How long to wait for the lock of a killed process, and the interval between attempts.
-const DYING: Duration = Duration::from_millis(500);
+const LOCK_RELEASE_MAX: Duration = Duration::from_millis(500);
 const POLL: Duration = Duration::from_millis(20);
 
 /// The unfinished file.
@@ -57,7 +57,7 @@ pub fn partial(path: &Path) -> PathBuf {
 /// A recording with more ticks of the run exists already.
 #[derive(Debug, thiserror::Error)]
 #[error("{} is kept: it holds {there} ticks of the run, and the logs have only {made} left", .path.display())]
-pub struct Poorer {
+pub struct FewerTicks {
     path: PathBuf,
     there: u64,
     made: u64,
@@ -118,7 +118,7 @@ impl RunFile {
     /// Writes index and summary, then gives the file its final name unless a recording with more ticks has that name.
     ///
     /// # Errors
-    /// [`Poorer`]; also if the system refuses, or the file does not hold all that was written to it.
+    /// [`FewerTicks`]; also if the system refuses, or the file does not hold all that was written to it.
     pub fn finish(self) -> anyhow::Result<()> {
         let Self { path, partial, run_id, leftover, taken, writer } = self;
         let file = writer.finish().map_err(|error| named(&partial, of(error)))?;
@@ -137,7 +137,7 @@ impl RunFile {
             Found::Same(there) if there > taken => {
                 let _ = std::fs::remove_file(&partial);
                 give_back(leftover.as_deref(), &partial);
-                return Err(Poorer { path, there, made: taken }.into());
+                return Err(FewerTicks { path, there, made: taken }.into());
             }
             Found::Same(_) => |from: &Path, to: &Path| std::fs::rename(from, to),
             Found::Nothing | Found::Foreign => atomic_file::rename_to_free,
@@ -190,7 +190,7 @@ fn lock(partial: &Path, run_id: u64) -> anyhow::Result<(File, Option<PathBuf>)> 
             Err(error) => return Err(error).with_context(named),
         };
         match file.try_lock() {
-            Err(TryLockError::WouldBlock) if began.elapsed() < DYING => {
+            Err(TryLockError::WouldBlock) if began.elapsed() < LOCK_RELEASE_MAX => {
                 std::thread::sleep(POLL);
                 continue;
             }

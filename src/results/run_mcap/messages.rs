@@ -71,7 +71,7 @@ messages! {
         sent_ns: Option<u64> as optional uint64,
         /// Height of the sensor above the plane in which the target moves: the range is the slant one.
         height_m: f64 as double,
-        /// What fusion did with it: `fused`, `rejected` by the gate, or `distrusted` (not fused because the robot is distrusted).
+        /// Result of the fusion: `fused`, `rejected` by the gate, or `distrusted` (not fused because the robot is distrusted).
         used: Option<String> as optional string,
         /// Its squared innovation over its variance, of one degree of freedom, if there was a prediction.
         normalised_square: Option<f64> as optional double,
@@ -85,7 +85,7 @@ messages! {
         heading_rad: f64 as double,
         /// Standard deviation of that.
         heading_std_rad: f64 as double,
-        /// What fusion did with the bearing, as `used` for the range.
+        /// Result of the bearing's fusion, as `used` for the range.
         bearing_used: Option<String> as optional string,
         /// The bearing's squared innovation over its variance.
         bearing_normalised_square: Option<f64> as optional double,

@@ -39,7 +39,7 @@ pub(crate) enum Action {
     },
 }
 
-/// What a look shows of a node's process. `S` is a heartbeat, of which only changes matter.
+/// The observed state of a node's process. `S` is a heartbeat, of which only changes matter.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct Seen<S> {
     /// Its newest heartbeat.
@@ -119,7 +119,7 @@ impl<S: PartialEq> Machine<S> {
         node.death = Some(Death { end, lived, is_taken });
     }
 
-    /// Looks at every running process, once every [`silence::LOOK`]. A process that has been silent for too long is
+    /// Looks at every running process, once every [`silence::POLL_INTERVAL`]. A process that has been silent for too long is
     /// killed, and then started again. A node that would not be started again is not killed: it may recover by itself.
     pub(crate) fn look(&mut self, scenario: &Scenario, mut see: impl FnMut(usize) -> Seen<S>) {
         let count = self.nodes.len();

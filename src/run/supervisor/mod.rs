@@ -77,7 +77,7 @@ impl Hosts {
     }
 }
 
-/// The program of the gateway, and what it is told.
+/// The program of the gateway, and its arguments.
 #[derive(Debug, Clone)]
 struct Gateway {
     program: PathBuf,
@@ -123,7 +123,7 @@ impl Supervision {
         Ok(Some(Gateway { program: gateway::program()?, listen, keys: hosts.keys.clone() }))
     }
 
-    /// What the run folder keeps of them: with the port at which the gateway listens, and keys that are found from any folder.
+    /// The copy of them in the run folder: with the port at which the gateway listens, and keys that are found from any folder.
     fn hosts_at(&self, gateway: Option<&Gateway>) -> Option<Hosts> {
         let (hosts, gateway) = (self.hosts.clone()?, gateway?);
         let keys = hosts.keys.map(|keys| std::path::absolute(&keys).unwrap_or(keys));
@@ -152,7 +152,7 @@ pub fn resume(folder: &Path, name: Option<&RunName>, supervision: &Supervision, 
     let supervision = &Supervision { hosts, external, ..supervision.clone() };
     let gateway = supervision.gateway(&description.scenario)?;
     let found = || {
-        let founded = Rendezvous::found_closed(&name, description.clone()).map_err(input_or_running)?;
+        let created = Rendezvous::create_closed(&name, description.clone()).map_err(input_or_running)?;
         let claim = folder::look_for_writable(&description)?;
         let hosts = supervision.hosts_at(gateway.as_ref());
         if hosts != hosts_before {
@@ -161,7 +161,7 @@ pub fn resume(folder: &Path, name: Option<&RunName>, supervision: &Supervision, 
         if supervision.external != external_before {
             folder::write_external(folder, supervision.external.as_ref())?;
         }
-        Ok((founded.open().map_err(input_or_running)?, claim))
+        Ok((created.open().map_err(input_or_running)?, claim))
     };
     supervise(supervision, gateway.as_ref(), keep, found)
 }
@@ -176,11 +176,11 @@ pub fn run(mut experiment: Experiment, supervision: &Supervision, keep: &Keep) -
     // The experiment is moved in, so that its recording is freed once its copy is written.
     supervise(supervision, gateway.as_ref(), keep, move || {
         // Only the process that has the run's name may change the folder, and nodes write to it as soon as they have joined.
-        let founded = experiment.found()?;
+        let created = experiment.create()?;
         let claim = folder::prepare_folder(&experiment)?;
         folder::write_hosts(&experiment.description.out_dir, hosts)?;
         folder::write_external(&experiment.description.out_dir, supervision.external.as_ref())?;
-        Ok((founded.open().map_err(input_or_running)?, claim))
+        Ok((created.open().map_err(input_or_running)?, claim))
     })
 }
 

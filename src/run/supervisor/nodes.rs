@@ -125,12 +125,12 @@ impl<'a> Nodes<'a> {
                 ));
             }
             self.lease.renew(monotonic_ns());
-            self.wait_for_a_death(watch::LOOK.saturating_sub(looked.elapsed()));
-            if looked.elapsed() >= watch::LOOK {
+            self.wait_for_a_death(watch::POLL_INTERVAL.saturating_sub(looked.elapsed()));
+            if looked.elapsed() >= watch::POLL_INTERVAL {
                 look();
                 looked = Instant::now();
             }
-            if listened.elapsed() >= silence::LOOK {
+            if listened.elapsed() >= silence::POLL_INTERVAL {
                 if let Some(removed) = self.inspect() {
                     return Ok(Ended::Removed(removed));
                 }
@@ -342,7 +342,7 @@ impl Node {
         Ok(())
     }
 
-    /// What a look shows of its process.
+    /// The observed state of its process.
     fn see(&self, roster: &Roster) -> Seen<SystemTime> {
         let pid = self.running.as_ref().map(Running::pid);
         let heartbeat =

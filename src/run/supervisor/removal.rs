@@ -64,7 +64,7 @@ pub(super) fn run_to_the_end(
             "{what}, as systemd does at a user's last logout with RemoveIPC=yes; the run goes on from its checkpoints"
         );
         let starts = past.starts();
-        rendezvous = match rendezvous.found_again(&starts) {
+        rendezvous = match rendezvous.recreate(&starts) {
             Ok(again) => again,
             Err(error) => {
                 let error = anyhow::Error::new(error).context(format!("{what}, and cannot be made again"));

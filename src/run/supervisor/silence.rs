@@ -8,7 +8,7 @@ use rangehound_shared::scenario::{Scenario, Timeout};
 /// Interval between two looks at the heartbeats. Silence is counted in looks, and only in those in which another
 /// process has sent a heartbeat. So no process becomes silent because the supervisor or the whole run was stopped, the
 /// machine was suspended, or a clock jumped.
-pub(crate) const LOOK: Duration = Duration::from_millis(100);
+pub(crate) const POLL_INTERVAL: Duration = Duration::from_millis(100);
 
 /// Shortest silence that is a hang, however short the time-out: on a busy machine every process may have to wait.
 const HANG_MIN: Duration = Duration::from_millis(500);
@@ -54,7 +54,7 @@ impl<S: PartialEq> Silence<S> {
     }
 
     pub(crate) fn is_longer_than(&self, limit: Duration) -> bool {
-        LOOK.saturating_mul(self.looks.saturating_sub(1)) > limit
+        POLL_INTERVAL.saturating_mul(self.looks.saturating_sub(1)) > limit
     }
 }
 

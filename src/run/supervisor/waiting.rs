@@ -1,4 +1,4 @@
-//! Nodes that others start and without which a run does not go on: the user is told which ones.
+//! Nodes that others start and without which a run does not go on: the supervisor reports which ones.
 
 use std::net::SocketAddr;
 use std::time::{Duration, Instant};

@@ -14,7 +14,7 @@ use nalgebra::Vector2;
 use rangehound_fusion::planner::PlannerError;
 use rangehound_shared::scenario::{EXACT, OWN, Scenario, ScenarioError, ScenarioFile};
 
-use super::yardstick::{Distance, Yardstick};
+use super::certified_reference::{CertifiedReference, Distance};
 use crate::files::input;
 use crate::results::report::{position_covariance, position_error};
 use crate::run::experiment::Given;
@@ -22,7 +22,7 @@ use crate::run::in_process::{Parts, Team};
 use crate::statistics;
 
 /// How often progress is shown.
-const LOOK: Duration = Duration::from_millis(50);
+const PROGRESS_INTERVAL: Duration = Duration::from_millis(50);
 
 /// Most ticks of all runs together: their samples take two gigabytes.
 const TICKS_MAX: u64 = 30_000_000;
@@ -247,7 +247,7 @@ impl Trials {
                 .with_context(|| format!("cannot start {} threads: choose fewer with --threads", self.threads))?;
             while workers.iter().any(|worker| !worker.is_finished()) {
                 on_progress(done.load(Ordering::Relaxed)).inspect_err(|_| next.store(NONE_LEFT, Ordering::Relaxed))?;
-                std::thread::sleep(LOOK);
+                std::thread::sleep(PROGRESS_INTERVAL);
             }
             let mut indexed = Vec::with_capacity(self.count() as usize);
             for worker in workers {
@@ -295,7 +295,7 @@ impl Trial {
     fn run(scenario: &Scenario, variant: &Variant, is_stopped: impl Fn() -> bool) -> anyhow::Result<Self> {
         let parts = variant.custom.as_ref().map(|CustomParts(make)| make(scenario)).transpose()?;
         let mut team = Team::of_parts(scenario, Path::new(""), parts.unwrap_or_default())?;
-        let yardstick = &mut Yardstick::for_robots(scenario.robots.len())?;
+        let reference = &mut CertifiedReference::for_robots(scenario.robots.len())?;
         let mut trial = Self { samples: Vec::with_capacity(scenario.ticks as usize), ..Self::default() };
         for tick in 0..=scenario.ticks {
             if is_stopped() {
@@ -306,14 +306,14 @@ impl Trial {
                 break;
             }
             if tick > 0 {
-                trial.add(&team, yardstick);
+                trial.add(&team, reference);
             }
             team.advance();
         }
         Ok(trial)
     }
 
-    fn add(&mut self, team: &Team, yardstick: &mut Yardstick) {
+    fn add(&mut self, team: &Team, reference: &mut CertifiedReference) {
         let estimate = team.centre().estimate();
         let &[x_m, y_m, ..] = team.world().truth() else { return };
         self.nis += estimate.nis;
@@ -321,7 +321,7 @@ impl Trial {
         let p = position_covariance(&estimate);
         let (squared_error_m2, nees) = position_error(&estimate, Vector2::new(x_m, y_m));
         let Distance { gap, trace_excess, certified } =
-            yardstick.measure(team.centre().situation(), team.centre().last_plan());
+            reference.measure(team.centre().situation(), team.centre().last_plan());
         self.samples.push(Sample {
             trace_m2: p.trace(),
             max_eigenvalue_m2: 0.5 * p.trace() + (0.5 * (p[(0, 0)] - p[(1, 1)])).hypot(p[(0, 1)]),

@@ -10,6 +10,7 @@ use rangehound_shared::protocol::wake::{Answers, Event};
 use rangehound_shared::scenario::{Clock, Scenario};
 use rangehound_shared::sealed::slots::Turns;
 
+use super::checker::Checker;
 use super::disk::Disk;
 use super::gateway::Gateway;
 use super::lead::Lead;
@@ -18,7 +19,6 @@ use super::node::{Node, Process};
 use super::plan::{Plan, SIM};
 use super::supervisor::Supervisor;
 use super::trace::TraceLine;
-use super::witness::Witness;
 
 /// Time at which the team is started: late enough for clocks of different rates to have diverged.
 const START_NS: u64 = 1_000_000_000;
@@ -137,7 +137,7 @@ pub(super) struct Cluster<'a> {
     /// How often the run was resumed.
     pub(super) run_life: u64,
     pub(super) is_finished: bool,
-    pub(super) witness: Witness,
+    pub(super) checker: Checker,
     pub(super) counts: Counts,
     trace: Option<Vec<TraceLine>>,
 }
@@ -182,7 +182,7 @@ impl<'a> Cluster<'a> {
             gateway: Gateway::default(),
             run_life: 0,
             is_finished: false,
-            witness: Witness::new(scenario, undisturbed, plan),
+            checker: Checker::new(scenario, undisturbed, plan),
             counts: Counts::default(),
             trace: keeps_trace.then(Vec::new),
         }
@@ -191,7 +191,7 @@ impl<'a> Cluster<'a> {
     /// Runs the team to its end.
     pub(super) fn explore(mut self) -> Outcome {
         let violation = self.go_on().err();
-        self.counts.node_ticks = (self.witness.last_estimate().unwrap_or(0) + 1) * self.plan.nodes() as u64;
+        self.counts.node_ticks = (self.checker.last_estimate().unwrap_or(0) + 1) * self.plan.nodes() as u64;
         Outcome { violation, counts: self.counts, trace: self.trace.unwrap_or_default() }
     }
 
@@ -210,7 +210,7 @@ impl<'a> Cluster<'a> {
             }
             self.now_ns = at_ns;
             if at_ns > ends_ns {
-                let tick = self.witness.last_estimate().map_or(0, |tick| tick + 1);
+                let tick = self.checker.last_estimate().map_or(0, |tick| tick + 1);
                 let what = format!("the run did not end once faults ceased: no estimate of tick {tick}");
                 return Err(self.violation(None, what));
             }
@@ -221,7 +221,7 @@ impl<'a> Cluster<'a> {
 
     /// True if the simulator has ended and every tick has its estimate, or if the supervisor has given up.
     fn has_ended(&self) -> bool {
-        self.supervisor.has_given_up || self.is_finished && self.witness.last_estimate() == Some(self.plan.ticks)
+        self.supervisor.has_given_up || self.is_finished && self.checker.last_estimate() == Some(self.plan.ticks)
     }
 
     /// An undisturbed team never depends on a repeat or a time-out.
@@ -234,7 +234,7 @@ impl<'a> Cluster<'a> {
         if self.plan.clock == Clock::Lockstep && self.now_ns - START_NS > longest_ns {
             return Err(self.violation(None, "an undisturbed run waited for repeats".to_owned()));
         }
-        if !self.witness.is_complete() {
+        if !self.checker.is_complete() {
             return Err(self.violation(None, "in an undisturbed run a robot was missing".to_owned()));
         }
         Ok(())
@@ -252,7 +252,7 @@ impl<'a> Cluster<'a> {
             SimEvent::Wakes { node, event } => {
                 if let (Some(Event::Hello), Process::Sim(machine)) = (event, &mut self.nodes[node].process) {
                     machine.on_hello();
-                    self.witness.timing.hello_ns = self.now_ns;
+                    self.checker.timing.hello_ns = self.now_ns;
                 }
                 if event.is_none() && self.nodes[node].wakes_at_ns != self.now_ns {
                     return Ok(());

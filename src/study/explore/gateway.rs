@@ -2,12 +2,12 @@
 
 use std::collections::BTreeMap;
 
-use rangehound_robot::remote::{Claim, Occupant, Publication, Relay};
+use rangehound_robot::remote::{Claim, Publication, Relay, RoleHolder};
 use rangehound_shared::scenario::Scenario;
 
+use super::checker::link::LinkChecker;
 use super::message::Message;
 use super::node::{Node, Process};
-use super::witness::link::LinkWitness;
 
 /// There is only one run here.
 pub(super) const RUN_ID: u64 = 1;
@@ -17,7 +17,7 @@ pub(super) const RUN_ID: u64 = 1;
 pub(super) struct Gateway {
     /// Messages and frames that have arrived.
     pub(super) inbox: Vec<Message>,
-    pub(super) guests: BTreeMap<usize, Guest>,
+    pub(super) remote_robots: BTreeMap<usize, RemoteRobot>,
     /// The kill that is due, and the number of actions before it.
     pub(super) pending_kill: Option<(usize, u32)>,
     /// Links that robots have opened so far.
@@ -28,15 +28,15 @@ pub(super) struct Gateway {
 
 /// A robot that has joined.
 #[derive(Debug)]
-pub(super) struct Guest {
+pub(super) struct RemoteRobot {
     pub(super) relay: Relay,
     /// How often its role had been taken.
     pub(super) incarnation: u64,
     pub(super) connection: u64,
     /// Its process, by the life of its node.
-    occupant: Occupant,
+    holder: RoleHolder,
     joined_ns: u64,
-    pub(super) witness: LinkWitness,
+    pub(super) checker: LinkChecker,
 }
 
 /// The process that asks for a robot's role.
@@ -60,7 +60,7 @@ impl Gateway {
     pub(super) fn die(&mut self) {
         self.pending_kill = None;
         self.inbox.clear();
-        self.guests.clear();
+        self.remote_robots.clear();
     }
 
     /// The roster of the run is lost.
@@ -76,12 +76,12 @@ impl Gateway {
         fusion_incarnation: u64,
         now_ns: u64,
     ) -> Option<Joined> {
-        if let Some(guest) = self.guests.get_mut(&robot) {
-            match guest.occupant.claim(process.into(), guest.relay.round_trip_ns().unwrap_or(0), now_ns) {
+        if let Some(remote) = self.remote_robots.get_mut(&robot) {
+            match remote.holder.claim(process.into(), remote.relay.round_trip_ns().unwrap_or(0), now_ns) {
                 Claim::ComesBack => {
                     self.connections += 1;
-                    (guest.connection, guest.joined_ns) = (self.connections, now_ns);
-                    guest.relay.reconnect();
+                    (remote.connection, remote.joined_ns) = (self.connections, now_ns);
+                    remote.relay.reconnect();
                     return Some(Joined { connection: self.connections, is_new: false });
                 }
                 Claim::Refused => return None,
@@ -91,15 +91,15 @@ impl Gateway {
         self.connections += 1;
         let taken = self.taken.entry(robot).or_default();
         *taken += 1;
-        let guest = Guest {
+        let remote = RemoteRobot {
             relay: Relay::new(RUN_ID, robot, scenario, fusion_incarnation),
             incarnation: *taken,
             connection: self.connections,
-            occupant: Occupant::new(process.into(), now_ns),
+            holder: RoleHolder::new(process.into(), now_ns),
             joined_ns: now_ns,
-            witness: LinkWitness::new(scenario, fusion_incarnation, now_ns),
+            checker: LinkChecker::new(scenario, fusion_incarnation, now_ns),
         };
-        self.guests.insert(robot, guest);
+        self.remote_robots.insert(robot, remote);
         Some(Joined { connection: self.connections, is_new: true })
     }
 
@@ -113,33 +113,33 @@ impl Gateway {
         let mut publications = Vec::new();
         match message {
             Message::World(header, entries) => {
-                for (robot, guest) in &mut self.guests {
+                for (robot, remote) in &mut self.remote_robots {
                     let Some(entry) = entries.get(*robot) else { continue };
-                    guest.witness.world(header, entry);
-                    let again = guest.relay.on_world(header, entry);
+                    remote.checker.world(header, entry);
+                    let again = remote.relay.on_world(header, entry);
                     publications.extend(again.into_iter().map(|message| (*robot, message)));
                 }
             }
             Message::Heading(header, commands) if commands.len() == robots => {
-                for (robot, guest) in &mut self.guests {
-                    guest.witness.heading(header);
-                    guest.relay.on_heading(header, commands[*robot], now_ns);
+                for (robot, remote) in &mut self.remote_robots {
+                    remote.checker.heading(header);
+                    remote.relay.on_heading(header, commands[*robot], now_ns);
                 }
             }
             Message::Uplink { robot, connection, frame } => {
-                let guest = self.guests.get_mut(robot).filter(|guest| guest.connection == *connection);
-                if let Some(guest) = guest {
-                    guest.occupant.hear(now_ns);
-                    let news = guest.relay.on_uplink(frame, now_ns).map_err(|error| (*robot, error.to_string()))?;
-                    guest.witness.news(&news).map_err(|what| (*robot, what))?;
+                let remote = self.remote_robots.get_mut(robot).filter(|remote| remote.connection == *connection);
+                if let Some(remote) = remote {
+                    remote.holder.hear(now_ns);
+                    let news = remote.relay.on_uplink(frame, now_ns).map_err(|error| (*robot, error.to_string()))?;
+                    remote.checker.news(&news).map_err(|what| (*robot, what))?;
                     publications.extend(news.into_iter().map(|message| (*robot, message)));
                 }
             }
             _ => {}
         }
         for (robot, publication) in &publications {
-            if let Some(guest) = self.guests.get(robot) {
-                guest.witness.publishes(publication).map_err(|what| (*robot, what))?;
+            if let Some(remote) = self.remote_robots.get(robot) {
+                remote.checker.publishes(publication).map_err(|what| (*robot, what))?;
             }
         }
         Ok(publications)
@@ -147,22 +147,22 @@ impl Gateway {
 
     /// Forgets the robots that have been silent for long, and returns them.
     pub(super) fn release_silent(&mut self, now_ns: u64) -> Vec<usize> {
-        let is_gone = |guest: &Guest| guest.occupant.is_gone(now_ns);
-        let gone = self.guests.iter().filter(|(_, guest)| is_gone(guest)).map(|(robot, _)| *robot).collect();
-        self.guests.retain(|_, guest| !is_gone(guest));
+        let is_gone = |remote: &RemoteRobot| remote.holder.is_gone(now_ns);
+        let gone = self.remote_robots.iter().filter(|(_, remote)| is_gone(remote)).map(|(robot, _)| *robot).collect();
+        self.remote_robots.retain(|_, remote| !is_gone(remote));
         gone
     }
 
     /// When a frame is due, ns.
     pub(super) fn frame_due_ns(&self) -> u64 {
-        self.guests.values().map(|guest| guest.relay.wakes_at_ns()).min().unwrap_or(u64::MAX)
+        self.remote_robots.values().map(|remote| remote.relay.wakes_at_ns()).min().unwrap_or(u64::MAX)
     }
 
     /// Time for which the robot's process has had an open link, ns.
     pub(super) fn linked_for_ns(&self, robot: usize, node: &Node, now_ns: u64) -> u64 {
         let Process::Robot(process) = &node.process else { return 0 };
         let connection = process.remote.as_ref().and_then(|remote| remote.connection());
-        let guest = self.guests.get(&robot).filter(|guest| Some(guest.connection) == connection);
-        guest.map_or(0, |guest| now_ns - guest.joined_ns)
+        let remote = self.remote_robots.get(&robot).filter(|remote| Some(remote.connection) == connection);
+        remote.map_or(0, |remote| now_ns - remote.joined_ns)
     }
 }

@@ -11,9 +11,10 @@
 //! | `supervisor` | the supervisor's machine, driven in it |
 //! | `gateway` | the gateway of robots on other hosts, and who has joined it |
 //! | `reboot` | the run's host is lost, and the run resumed |
-//! | `witness` | the invariants |
+//! | `checker` | the invariants |
 //! | `trace` | what happened, as a table |
 
+mod checker;
 mod cluster;
 mod disk;
 mod faults;
@@ -29,7 +30,6 @@ mod reboot;
 mod roles;
 mod supervisor;
 mod trace;
-mod witness;
 
 use std::collections::HashMap;
 use std::fmt::Write as _;

@@ -7,18 +7,18 @@ use rangehound_robot::sensor::Sensor;
 use rangehound_shared::sealed::slots::Turns;
 use rangehound_sim::machine as sim;
 
+use super::checker::robot::RobotChecker;
 use super::lead::Lease;
 use super::message::Message;
 use super::plan::LocalClock;
 use super::roles::remote::RemoteEnd;
-use super::witness::robot::RobotWitness;
 
 /// A robot's machine, sensor, localiser and checks.
 pub(super) struct Robot {
     pub(super) machine: rangehound_robot::machine::Machine,
     pub(super) sensor: Box<dyn Sensor>,
     pub(super) poses: Box<dyn PoseSource>,
-    pub(super) witness: RobotWitness,
+    pub(super) checker: RobotChecker,
     /// Its end of the link to the gateway, if it is on another host.
     pub(super) remote: Option<RemoteEnd>,
 }
@@ -85,7 +85,7 @@ pub(super) struct PendingFault {
 }
 
 /// Effect of a fault on a node at an action.
-pub(super) enum Fate {
+pub(super) enum FaultEffect {
     Lives,
     /// It still does this action, and is then stopped.
     Stops,

@@ -8,7 +8,7 @@ use super::cluster::{Cluster, SimEvent, Violation};
 use super::faults::FaultKind;
 use super::lead::HEARTBEAT_NS;
 use super::network::WAKE_NS;
-use super::node::{Fate, PendingFault, Process};
+use super::node::{FaultEffect, PendingFault, Process};
 use crate::run::supervisor::deaths::End;
 
 /// Interval in which a process checks everything even if nothing wakes it.
@@ -84,23 +84,23 @@ impl Cluster<'_> {
     }
 
     /// Counts an action of a node, and returns what a fault does to the node at it.
-    pub(super) fn before_action(&mut self, node: usize) -> Result<Fate, Violation> {
+    pub(super) fn before_action(&mut self, node: usize) -> Result<FaultEffect, Violation> {
         self.nodes[node].actions += 1;
         if self.nodes[node].actions > ACTIONS_MAX {
             return Err(self.violation(Some(node), "it acts again and again without a sleep".to_owned()));
         }
-        Ok(self.fate(node))
+        Ok(self.fault_effect(node))
     }
 
-    fn fate(&mut self, node: usize) -> Fate {
-        let Some(pending_fault) = &mut self.nodes[node].pending_fault else { return Fate::Lives };
+    fn fault_effect(&mut self, node: usize) -> FaultEffect {
+        let Some(pending_fault) = &mut self.nodes[node].pending_fault else { return FaultEffect::Lives };
         if let Some(fewer) = pending_fault.after_actions.checked_sub(1) {
             pending_fault.after_actions = fewer;
-            return Fate::Lives;
+            return FaultEffect::Lives;
         }
         let fault = pending_fault.fault;
         if self.plan.leaves_robots && !self.may_leave(node) {
-            return Fate::Lives;
+            return FaultEffect::Lives;
         }
         self.nodes[node].pending_fault = None;
         self.counts.faults += 1;
@@ -108,29 +108,29 @@ impl Cluster<'_> {
             FaultKind::Kill { written, is_own, up_ns, .. } => {
                 self.nodes[node].up_ns = up_ns;
                 self.die(node, if is_own { End::Failed } else { End::Killed });
-                Fate::Dies { written }
+                FaultEffect::Dies { written }
             }
             FaultKind::KillSuccessor { .. } => {
                 self.die(node, End::Killed);
-                Fate::Dies { written: 0.0 }
+                FaultEffect::Dies { written: 0.0 }
             }
             FaultKind::Break { after_actions, .. } => {
                 self.nodes[node].later_faults.push(PendingFault { after_actions, fault });
                 self.die(node, End::Failed);
-                Fate::Dies { written: 0.0 }
+                FaultEffect::Dies { written: 0.0 }
             }
             FaultKind::Stop { for_ns, .. } | FaultKind::StopLeader { for_ns, .. } => {
                 self.stop(node, for_ns);
-                Fate::Stops
+                FaultEffect::Stops
             }
-            _ => Fate::Lives,
+            _ => FaultEffect::Lives,
         }
     }
 
     /// Robots that are not started again may end once the whole team has taken part; the first one stays.
     fn may_leave(&self, node: usize) -> bool {
         let robots = self.plan.robot_nodes();
-        !robots.contains(&node) || node != robots.start && self.witness.newest_world() > 0
+        !robots.contains(&node) || node != robots.start && self.checker.newest_world() > 0
     }
 
     /// Stops a process for a time.
@@ -157,7 +157,7 @@ impl Cluster<'_> {
             self.forget_first_range();
             if node == self.plan.gateway() {
                 let now_ns = self.now_ns;
-                self.gateway.guests.values_mut().for_each(|guest| guest.witness.continued(now_ns));
+                self.gateway.remote_robots.values_mut().for_each(|remote| remote.checker.continued(now_ns));
             }
             self.run(node)?;
         }

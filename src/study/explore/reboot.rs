@@ -32,7 +32,7 @@ impl Cluster<'_> {
         self.groups = [GroupState::default(); 3];
         self.gateway.forget_roles();
         self.run_life += 1;
-        self.witness.robots.iter_mut().for_each(|robot| robot.starts_anew());
+        self.checker.robots.iter_mut().for_each(|robot| robot.starts_anew());
         self.supervisor = Supervisor::new(self.plan);
         self.supervisor.looked_ns = self.now_ns;
         for node in self.plan.all_nodes() {

@@ -1,7 +1,7 @@
 //! The supervisor of a team: its state.
 
+use super::checker::supervision::Supervision;
 use super::plan::Plan;
-use super::witness::supervision::Supervision;
 use crate::run::supervisor::deaths::End;
 use crate::run::supervisor::machine::Machine;
 use crate::run::supervisor::restart::{Policies, Rule};
@@ -16,7 +16,7 @@ pub(super) struct Supervisor {
     pub(super) refusals: u32,
     /// Ends of processes that it has not noticed yet.
     pub(super) ends: Vec<(usize, End)>,
-    pub(super) witness: Supervision,
+    pub(super) checker: Supervision,
     /// True if it has ended the run.
     pub(super) has_given_up: bool,
 }
@@ -31,7 +31,7 @@ impl Supervisor {
             looked_ns: 0,
             refusals: 0,
             ends: Vec::new(),
-            witness: Supervision::new(plan),
+            checker: Supervision::new(plan),
             has_given_up: false,
         }
     }

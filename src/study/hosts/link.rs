@@ -21,8 +21,8 @@ use super::network;
 /// Longest packet: more than any Ethernet carries.
 const PACKET_LEN_MAX: usize = 2_048;
 
-/// How soon a link notices that it is to end.
-const LOOK: Duration = Duration::from_millis(20);
+/// Longest sleep of a link: bounds how late it notices that it is to end.
+const LONGEST_SLEEP: Duration = Duration::from_millis(20);
 
 /// A robot's process that has sent nothing for this time has ended.
 const FORGOTTEN: Duration = Duration::from_secs(120);
@@ -235,7 +235,10 @@ impl Relay {
 
     /// Sleeps until a packet comes or is due.
     fn wait(&self) {
-        let due = self.later.peek().map_or(LOOK, |first| first.at.saturating_duration_since(Instant::now()).min(LOOK));
+        let due = self
+            .later
+            .peek()
+            .map_or(LONGEST_SLEEP, |first| first.at.saturating_duration_since(Instant::now()).min(LONGEST_SLEEP));
         let timeout = Timespec { tv_sec: 0, tv_nsec: due.subsec_nanos().into() };
         let sockets = std::iter::once(&self.front).chain(self.backs.values().map(|(back, _)| back));
         let mut sockets: Vec<PollFd<'_>> = sockets.map(|socket| PollFd::new(socket, PollFlags::IN)).collect();

@@ -27,7 +27,7 @@ pub(super) struct Network {
 }
 
 impl Network {
-    /// Makes this many hosts. What is in their shared memory is in this folder, which is removed with them.
+    /// Makes this many hosts. Their shared memory is in this folder, which is removed with them.
     ///
     /// # Errors
     /// If this process may not make them, or `ip`, `nsenter` or `unshare` are missing.
@@ -144,12 +144,12 @@ fn network_of(namespace: &str) -> Command {
 }
 
 /// Carries out a command of `ip`, split at spaces.
-fn ip(words: &str) -> anyhow::Result<()> {
-    let output = Command::new("ip").args(words.split(' ')).stdin(Stdio::null()).output().context("ip (iproute2)")?;
+fn ip(args: &str) -> anyhow::Result<()> {
+    let output = Command::new("ip").args(args.split(' ')).stdin(Stdio::null()).output().context("ip (iproute2)")?;
     if output.status.success() {
         return Ok(());
     }
-    Err(anyhow!("ip {words}: {}", first_line(&output.stderr)))
+    Err(anyhow!("ip {args}: {}", first_line(&output.stderr)))
 }
 
 fn first_line(text: &[u8]) -> String {

@@ -21,7 +21,7 @@ use crate::run::node::{start_logged, this_program};
 use crate::study::hosts::Hosts;
 
 /// Interval between checks of the run: long, to disturb the measurement little.
-const LOOK: Duration = Duration::from_millis(50);
+const POLL_INTERVAL: Duration = Duration::from_millis(50);
 
 /// Most time for a robot on another host to leave a run that has ended.
 const LEAVING: Duration = Duration::from_secs(5);
@@ -81,7 +81,7 @@ pub(super) fn run(
         if let Some(hosts) = hosts.as_deref_mut() {
             hosts.look()?;
         }
-        std::thread::sleep(LOOK);
+        std::thread::sleep(POLL_INTERVAL);
     };
     if let Some(hosts) = hosts {
         hosts.end(LEAVING);

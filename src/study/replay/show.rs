@@ -13,8 +13,8 @@ use crate::live;
 use crate::results::frame::Frame;
 use crate::results::run_mcap::read::FrameReader;
 
-/// How soon a request to end is noticed.
-const NAP: Duration = Duration::from_millis(50);
+/// Longest sleep: bounds how late a request to end is noticed.
+const LONGEST_SLEEP: Duration = Duration::from_millis(50);
 
 /// Shows a recording from its beginning, with the estimates and headings of the replay in place of its own.
 ///
@@ -73,7 +73,7 @@ impl Frames<'_> {
             && !left.is_zero()
             && !self.termination.requested()
         {
-            std::thread::sleep(left.min(NAP));
+            std::thread::sleep(left.min(LONGEST_SLEEP));
         }
     }
 }

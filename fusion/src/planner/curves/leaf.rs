@@ -21,7 +21,7 @@ const POINTS_MAX: usize = 9;
 /// Points whose convex hull holds what the places of a piece tell, and their weights: the coefficients of the denominator.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Leaf {
-    /// What bounds it also bounds each of its parts, and is exact in the limit: the noise is constant, and the weights positive.
+    /// True if its bound also holds for each of its parts, and is exact in the limit: the noise is constant, and the weights positive.
     pub(super) is_divisible: bool,
     count: usize,
     weight: [f64; POINTS_MAX],
@@ -79,7 +79,7 @@ impl Leaf {
         let p = &noise.position_m2;
         let is_exact = *p == nalgebra::Matrix2::zeros();
         let pose = |xx_m2: f64, yy_m2: f64, xy_m2: f64| xx.combine(xx_m2, &yy, yy_m2).combine(1.0, &xy, 2.0 * xy_m2);
-        // What Q_r and Q_b are but for the pose's part, over L.
+        // Q_r and Q_b without the pose's part, over L.
         let range = noise.range.map(|(std_m, std_per_m)| {
             let (constant_m2, share) = chord(std_m, std_per_m, part);
             w.combine(constant_m2, &l, share)

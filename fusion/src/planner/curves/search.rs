@@ -2,7 +2,8 @@
 //!
 //! A node gives each robot an interval of its curve. Its bound is that of the convex hulls: at each multiplier `m` the sum of
 //! the curves' supports bounds the cost. The best multiplier belongs to the best point of the sum of the hulls, which
-//! simplicial decomposition finds. Where that point is no plan, the robot is split whose part of it is farthest from its curve.
+//! simplicial decomposition finds. Where that point is no plan, the search splits the robot whose part of that point is
+//! farthest from its curve.
 
 use std::cmp::Ordering;
 use std::collections::BinaryHeap;

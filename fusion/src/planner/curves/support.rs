@@ -40,7 +40,7 @@ impl Curve {
             let base = Self::base(piece);
             let (from, to) = ((low - base).clamp(0.0, 1.0), (high - base).clamp(0.0, 1.0));
             if to > from || first == last {
-                // What bounds a piece bounds its part.
+                // The bound of a piece holds for its part.
                 let (bound, guess) = self.leaves[piece].bound(m);
                 let is_tight = from == 0.0 && to == 1.0;
                 open.push(Part { piece, low: from, high: to, bound, guess, is_tight, is_searched: false });

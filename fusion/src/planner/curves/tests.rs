@@ -204,7 +204,7 @@ proptest! {
         }
     }
 
-    /// What is known along a curve and how it changes are of one function.
+    /// The information along a curve and its derivative belong to one function.
     #[test]
     fn the_change_along_a_curve_is_that_of_what_is_known(situation in situation(1..2), share in 0.0..1.0_f64) {
         let problem = Problem::of(&situation);

@@ -280,7 +280,7 @@ mod tests {
 
         /// Trace and largest eigenvalue put any two plans into the same order, so they have the same solution.
         #[test]
-        fn what_is_better_in_trace_is_better_in_the_largest_eigenvalue(
+        fn a_plan_better_in_trace_is_better_in_the_largest_eigenvalue(
             a in 0.1..20.0_f64, c in 0.1..20.0_f64, correlation in -0.95..0.95_f64,
             plans in proptest::collection::vec((0.0..6.3_f64, 0.0..6.3_f64, 0.0..6.3_f64), 2..9),
         ) {

@@ -30,7 +30,7 @@ export class Processes {
 
   show(status) {
     this.nodes = status.nodes;
-    this.remote = new Set((status.gateway?.guests ?? []).map((guest) => `robot-${guest.robot}`));
+    this.remote = new Set((status.gateway?.robots ?? []).map((remote) => `robot-${remote.robot}`));
     this.hasSupervisor = status.nodes.some((node) => node.name === SUPERVISOR && node.pid != null);
     const standbys = status.standbys ? `, ${status.standbys} standing by` : "";
     this.leads.textContent = status.nodes.every((node) => node.state === "ended") ? "" : status.leader == null ? (status.nodes.some((node) => node.name === "fusion" && node.state === "elsewhere") ? `fusion leads from another PID namespace${standbys}` : "nobody leads") : `fusion leads as ${status.leader}${standbys}`;

@@ -1,15 +1,15 @@
 //! Fusion before it leads, in simulated time: it stands by, takes the lead, and reads its predecessor's checkpoint.
 
 use rangehound_fusion::leader::{Leader, Saved};
-use rangehound_fusion::standby::{LOOK, Standby};
+use rangehound_fusion::standby::{POLL_INTERVAL, Standby};
 use rangehound_node::rendezvous::tenure::needs_own_checkpoint;
 use rangehound_shared::protocol::wake::{Event, WaitGroup};
 use rangehound_shared::sealed::slots::Turns;
 
+use crate::study::explore::checker::succession;
 use crate::study::explore::cluster::{Cluster, SimEvent, Violation};
 use crate::study::explore::lead::Lease;
-use crate::study::explore::node::{Fate, Leading, Process, StandingBy, Successor};
-use crate::study::explore::witness::succession;
+use crate::study::explore::node::{FaultEffect, Leading, Process, StandingBy, Successor};
 
 impl Cluster<'_> {
     /// If there are standbys, fusion is started as a standby too.
@@ -23,7 +23,7 @@ impl Cluster<'_> {
 
     pub(in crate::study::explore) fn stand_by(&mut self) -> Process {
         let standby = Standby::new(self.scenario, self.lead.heartbeat(), Some(self.lead.lock));
-        let (waits_for, looks_at_ns) = (self.lead.lock, self.now_ns + LOOK.as_nanos() as u64);
+        let (waits_for, looks_at_ns) = (self.lead.lock, self.now_ns + POLL_INTERVAL.as_nanos() as u64);
         Process::Standby(Box::new(StandingBy { standby, waits_for, since_ns: self.now_ns, looks_at_ns, deposes: None }))
     }
 
@@ -33,9 +33,9 @@ impl Cluster<'_> {
         mut standing_by: Box<StandingBy>,
     ) -> Result<Process, Violation> {
         match self.before_action(node)? {
-            Fate::Dies { .. } => return Ok(Process::None),
-            Fate::Stops => return Ok(Process::Standby(standing_by)),
-            Fate::Lives => {}
+            FaultEffect::Dies { .. } => return Ok(Process::None),
+            FaultEffect::Stops => return Ok(Process::Standby(standing_by)),
+            FaultEffect::Lives => {}
         }
         let stood_by_ns = self.nodes[node].well_for_ns(self.now_ns).min(self.now_ns - standing_by.since_ns);
         let waited = succession::waits(&self.lead, &self.nodes, stood_by_ns, self.now_ns);
@@ -45,13 +45,13 @@ impl Cluster<'_> {
             return Ok(self.take_lead(node, None));
         }
         if *looks_at_ns <= self.now_ns {
-            *looks_at_ns = self.now_ns + LOOK.as_nanos() as u64;
+            *looks_at_ns = self.now_ns + POLL_INTERVAL.as_nanos() as u64;
             *deposes = standby.look(self.lead.heartbeat());
             if deposes.is_some() {
                 match self.before_action(node)? {
-                    Fate::Dies { .. } => return Ok(Process::None),
-                    Fate::Stops => return Ok(Process::Standby(standing_by)),
-                    Fate::Lives => {}
+                    FaultEffect::Dies { .. } => return Ok(Process::None),
+                    FaultEffect::Stops => return Ok(Process::Standby(standing_by)),
+                    FaultEffect::Lives => {}
                 }
             }
         }
@@ -93,8 +93,8 @@ impl Cluster<'_> {
         node: usize,
         mut successor: Box<Successor>,
     ) -> Result<Process, Violation> {
-        let fate = self.before_action(node)?;
-        if let Fate::Dies { .. } = fate {
+        let effect = self.before_action(node)?;
+        if let FaultEffect::Dies { .. } = effect {
             return Ok(Process::None);
         }
         self.after(0, SimEvent::Wakes { node, event: Some(Event::Range) });
@@ -114,8 +114,8 @@ impl Cluster<'_> {
         }
         let tick = machine.centre().next_tick();
         self.trace(Some(node), || format!("leads from tick {tick}"));
-        let is_behind = self.lead.is_current(*lease) && tick <= self.witness.newest_headings().unwrap_or(0);
-        if is_behind && self.witness.newest_headings().is_some() {
+        let is_behind = self.lead.is_current(*lease) && tick <= self.checker.newest_headings().unwrap_or(0);
+        if is_behind && self.checker.newest_headings().is_some() {
             return Err(
                 self.violation(Some(node), format!("it goes back to tick {tick}, whose headings were published"))
             );
@@ -146,7 +146,7 @@ impl Cluster<'_> {
                 let restored = machine.restore(saved, self.local_ns(node));
                 restored.map_err(|error| self.violation(Some(node), error.to_string()))?;
             }
-            None if self.witness.newest_headings().is_some() => {
+            None if self.checker.newest_headings().is_some() => {
                 return Err(self.violation(Some(node), "the state of ticks that were published is lost".to_owned()));
             }
             None => {}

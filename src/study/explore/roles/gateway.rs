@@ -16,7 +16,7 @@ use crate::study::explore::node::{Node, Process};
 use crate::study::explore::plan::SIM;
 
 /// Longest sleep of a gateway, ns: then it reads everything.
-const LOOK_NS: u64 = 50_000_000;
+const LONGEST_SLEEP_NS: u64 = 50_000_000;
 
 /// Time after the last disturbance within which ticks are gathered as if there had been none, ns.
 const SETTLED_NS: u64 = 1_000_000_000;
@@ -94,22 +94,24 @@ impl Cluster<'_> {
             self.trace(Some(index), || format!("robot-{robot} is silent: its role is free"));
         }
         for robot in self.plan.robot_ids() {
-            let Some(guest) = self.gateway.guests.get_mut(&robot) else { continue };
-            let Some(frame) = guest.relay.next_frame(self.now_ns) else { continue };
-            let (connection, sent) = (guest.connection, guest.witness.sends(&frame, self.now_ns));
+            let Some(remote) = self.gateway.remote_robots.get_mut(&robot) else { continue };
+            let Some(frame) = remote.relay.next_frame(self.now_ns) else { continue };
+            let (connection, sent) = (remote.connection, remote.checker.sends(&frame, self.now_ns));
             sent.map_err(|what| self.violation(Some(index), format!("for robot-{robot} {what}")))?;
             if !self.gateway_lives() {
                 return Ok(Process::None);
             }
             self.send_down(robot, connection, frame);
         }
-        self.sleep(index, self.gateway.frame_due_ns().saturating_sub(self.now_ns).clamp(1, LOOK_NS));
+        self.sleep(index, self.gateway.frame_due_ns().saturating_sub(self.now_ns).clamp(1, LONGEST_SLEEP_NS));
         Ok(Process::Gateway)
     }
 
     /// Publishes a robot's message, and notifies the node that waits for it. False if the gateway dies meanwhile.
     fn publish(&mut self, robot: usize, publication: Publication) -> Result<bool, Violation> {
-        let Some(incarnation) = self.gateway.guests.get(&robot).map(|guest| guest.incarnation) else { return Ok(true) };
+        let Some(incarnation) = self.gateway.remote_robots.get(&robot).map(|remote| remote.incarnation) else {
+            return Ok(true);
+        };
         if !self.gateway_lives() {
             return Ok(false);
         }
@@ -117,7 +119,7 @@ impl Cluster<'_> {
         let notification = match publication {
             Publication::Range(Outgoing { tick, valid_at_s, entry }, notification) => {
                 self.trace(Some(index), || format!("range({tick}) of robot-{robot}"));
-                self.witness.links.publishes(robot, tick);
+                self.checker.links.publishes(robot, tick);
                 let header = Header { run_id: RUN_ID, incarnation, tick, valid_at_s, sent_ns: self.now_ns };
                 for fusion in self.plan.fusion_nodes() {
                     self.send(index, fusion, || Message::Range(header, entry));
@@ -125,7 +127,7 @@ impl Cluster<'_> {
                 Some(notification)
             }
             Publication::Drive(Outgoing { tick, entry, .. }, notification) => {
-                let drove = self.witness.links.drove(robot, tick, &entry);
+                let drove = self.checker.links.drove(robot, tick, &entry);
                 drove.map_err(|what| self.violation(Some(index), what))?;
                 self.send(index, SIM, || Message::Drive(tick, entry));
                 notification

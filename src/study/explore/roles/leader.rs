@@ -6,11 +6,11 @@ use rangehound_fusion::leader::{Action, Notice};
 use rangehound_shared::message::Command;
 use rangehound_shared::protocol::wake::{Event, WaitGroup};
 
+use crate::study::explore::checker::timing::{Closing, Missing};
 use crate::study::explore::cluster::{Cluster, SimEvent, Violation};
 use crate::study::explore::message::Message;
-use crate::study::explore::node::{Fate, Leading, Node, Process};
+use crate::study::explore::node::{FaultEffect, Leading, Node, Process};
 use crate::study::explore::plan::SIM;
-use crate::study::explore::witness::timing::{Closing, Missing};
 
 /// Ticks after a fault from which on no robot may be missing because of it.
 const CALM_TICKS: u64 = 6;
@@ -50,8 +50,8 @@ impl Cluster<'_> {
                 leading.machine.finish();
                 continue;
             };
-            let fate = self.before_action(node)?;
-            if let Fate::Dies { written } = fate {
+            let effect = self.before_action(node)?;
+            if let FaultEffect::Dies { written } = effect {
                 if action == Action::Save {
                     self.save_leader(node, &mut leading, written)?;
                 }
@@ -65,7 +65,7 @@ impl Cluster<'_> {
             }
             leading.has_looked |= action == Action::RequireLead;
             self.act_leader(node, &mut leading, action)?;
-            if let Fate::Stops = fate {
+            if let FaultEffect::Stops = effect {
                 return Ok(Process::Leader(leading));
             }
         }
@@ -105,8 +105,8 @@ impl Cluster<'_> {
             Action::SendHeadings => {
                 let commands = machine.centre().commands();
                 let is_current = self.lead.is_current(leading.lease);
-                let witnessed = self.witness.headings(tick, commands, is_current);
-                witnessed.map_err(|what| self.violation(Some(node), what))?;
+                let checked = self.checker.headings(tick, commands, is_current);
+                checked.map_err(|what| self.violation(Some(node), what))?;
                 self.trace(Some(node), || format!("heading({tick})"));
                 let header = self.header(node, tick, machine.centre().time_s());
                 let commands: Rc<[Command]> = commands.into();
@@ -116,12 +116,12 @@ impl Cluster<'_> {
             }
             Action::Notify(notification) => self.notify(node, notification),
             Action::SendEstimate => {
-                let witnessed = self.witness.estimate(tick, machine.estimate());
-                witnessed.map_err(|what| self.violation(Some(node), what))?;
+                let checked = self.checker.estimate(tick, machine.estimate());
+                checked.map_err(|what| self.violation(Some(node), what))?;
             }
             Action::Record => {
                 let missing = self.record(node, leading, tick).map_err(|what| self.violation(Some(node), what))?;
-                let closed = self.witness.timing.closes(&self.closing(node, leading, tick, missing));
+                let closed = self.checker.timing.closes(&self.closing(node, leading, tick, missing));
                 closed.map_err(|what| self.violation(Some(node), what))?;
                 self.groups[WaitGroup::Fusion as usize].expected = leading.machine.expected();
             }
@@ -140,14 +140,14 @@ impl Cluster<'_> {
         let robot_nodes = self.plan.robot_nodes().zip(0..);
         let are_linked: Vec<bool> =
             robot_nodes.map(|(node, id)| self.is_linked_for(id, &self.nodes[node], calm_ns)).collect();
-        let Self { witness, nodes, plan, .. } = self;
+        let Self { checker, nodes, plan, .. } = self;
         let now_ns = self.now_ns;
         let is_well = |node: usize| nodes[node].well_for_ns(now_ns) > calm_ns;
         let calm_from_ns = self.calm_from_ns.max(leading.since_ns);
         let has_one_rate = plan.has_one_rate();
         let is_calm = has_one_rate && now_ns > calm_from_ns + calm_ns && is_well(SIM) && is_well(node);
         let robots_from = plan.robot_nodes().start;
-        witness.record(tick, &leading.machine, |id| is_calm && is_well(robots_from + id) && are_linked[id])
+        checker.record(tick, &leading.machine, |id| is_calm && is_well(robots_from + id) && are_linked[id])
     }
 
     /// How a tick was closed.

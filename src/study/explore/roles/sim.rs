@@ -10,7 +10,7 @@ use rangehound_sim::machine::{Action, Machine, Saved};
 
 use crate::study::explore::cluster::{Cluster, Violation};
 use crate::study::explore::message::Message;
-use crate::study::explore::node::{Fate, Process};
+use crate::study::explore::node::{FaultEffect, Process};
 use crate::study::explore::plan::SIM;
 
 impl Cluster<'_> {
@@ -21,7 +21,7 @@ impl Cluster<'_> {
         let (saved, turns) = self.sim_disk.read::<Saved<'static>>().map_err(|what| self.violation(Some(SIM), what))?;
         match saved {
             Some(saved) => machine.restore(saved).map_err(|error| self.violation(Some(SIM), error.to_string()))?,
-            None if self.witness.has_drives() => {
+            None if self.checker.has_drives() => {
                 return Err(self.violation(Some(SIM), "the state of a tick that was recorded is lost".to_owned()));
             }
             None => {}
@@ -31,7 +31,7 @@ impl Cluster<'_> {
         // The tick begins again.
         self.forget_first_range();
         self.nodes[SIM].incarnation = self.sim_starts;
-        self.witness.timing.sim_starts();
+        self.checker.timing.sim_starts();
         Ok(Process::Sim(Box::new(machine)))
     }
 
@@ -43,15 +43,15 @@ impl Cluster<'_> {
         }
         let now_ns = self.local_ns(SIM);
         while let Some(action) = machine.next_action(now_ns) {
-            let fate = self.before_action(SIM)?;
-            if let Fate::Dies { written } = fate {
+            let effect = self.before_action(SIM)?;
+            if let FaultEffect::Dies { written } = effect {
                 if action == Action::Save {
                     self.save_sim(&mut machine, written)?;
                 }
                 return Ok(Process::None);
             }
             self.act_sim(&mut machine, action)?;
-            if let Fate::Stops = fate {
+            if let FaultEffect::Stops = effect {
                 return Ok(Process::Sim(machine));
             }
         }
@@ -67,10 +67,10 @@ impl Cluster<'_> {
                 let world = machine.world();
                 let sim = &self.nodes[SIM];
                 let ran_ns = self.now_ns - sim.stopped_ns;
-                let seen = self.witness.world(tick, world.entries());
+                let seen = self.checker.world(tick, world.entries());
                 let counted_ns = self.now_ns - sim.suspended_ns;
                 let seen = seen
-                    .and_then(|()| self.witness.timing.world(tick, self.now_ns, [ran_ns, counted_ns], self.late_ns()));
+                    .and_then(|()| self.checker.timing.world(tick, self.now_ns, [ran_ns, counted_ns], self.late_ns()));
                 seen.map_err(|what| self.violation(Some(SIM), what))?;
                 self.groups[WaitGroup::Sim as usize].expected = machine.expected();
                 self.trace(Some(SIM), || format!("world({tick})"));
@@ -85,16 +85,16 @@ impl Cluster<'_> {
                 self.trace(Some(SIM), || format!("goes on without robot-{id}"));
                 let sim = &self.nodes[SIM];
                 let counted_ns = self.now_ns - sim.suspended_ns;
-                let checked = self.witness.timing.leaves_out(tick, counted_ns);
+                let checked = self.checker.timing.leaves_out(tick, counted_ns);
                 checked.map_err(|what| self.violation(Some(SIM), what))?;
-                self.witness.leaves_out(id);
+                self.checker.leaves_out(id);
             }
             Action::Finish => {
                 self.is_finished = true;
                 self.trace(Some(SIM), || "the run is over".to_owned());
             }
             Action::Record => {
-                self.witness.drives(tick, machine.drives()).map_err(|what| self.violation(Some(SIM), what))?;
+                self.checker.drives(tick, machine.drives()).map_err(|what| self.violation(Some(SIM), what))?;
             }
             Action::SendTruth => {}
         }

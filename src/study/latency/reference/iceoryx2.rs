@@ -81,19 +81,19 @@ impl Place {
 }
 
 /// Bounds every wait.
-struct Vigil<'a> {
+struct WaitLimit<'a> {
     termination: &'a Termination,
     limit: Duration,
     since: Option<Instant>,
 }
 
-impl<'a> Vigil<'a> {
+impl<'a> WaitLimit<'a> {
     fn new(termination: &'a Termination, limit: Duration) -> Self {
         Self { termination, limit, since: None }
     }
 
     /// Call this after a wait without result.
-    fn keep(&mut self) -> anyhow::Result<()> {
+    fn check(&mut self) -> anyhow::Result<()> {
         if self.termination.requested() {
             bail!("asked to end before the last tick");
         }
@@ -104,15 +104,15 @@ impl<'a> Vigil<'a> {
     }
 
     /// Call this when the awaited message has come.
-    fn end(&mut self) {
+    fn reset(&mut self) {
         self.since = None;
     }
 }
 
 /// Sleeps until notified.
-fn wait(listener: &Listener<ipc::Service>, vigil: &mut Vigil<'_>) -> anyhow::Result<()> {
+fn wait(listener: &Listener<ipc::Service>, wait_limit: &mut WaitLimit<'_>) -> anyhow::Result<()> {
     match listener.timed_wait(|_| {}, WAIT) {
-        Ok(0) | Err(ListenerWaitError::InterruptSignal) => vigil.keep(),
+        Ok(0) | Err(ListenerWaitError::InterruptSignal) => wait_limit.check(),
         Ok(_) => Ok(()),
         Err(error) => Err(refused("wait", error)),
     }
@@ -124,7 +124,7 @@ pub(super) struct Centre<'a> {
     listener: Listener<ipc::Service>,
     notifier: Notifier<ipc::Service>,
     newest: Vec<Range>,
-    vigil: Vigil<'a>,
+    wait_limit: WaitLimit<'a>,
     _place: Place,
 }
 
@@ -138,7 +138,7 @@ impl<'a> Centre<'a> {
             listener: place.range_event()?.listener_builder().create().map_err(|error| port(&error))?,
             notifier: place.command_event()?.notifier_builder().create().map_err(|error| port(&error))?,
             newest: vec![Range::default(); place.robots],
-            vigil: Vigil::new(termination, silence),
+            wait_limit: WaitLimit::new(termination, silence),
             _place: place,
         })
     }
@@ -148,7 +148,7 @@ impl super::Centre for Centre<'_> {
     fn collect(&mut self, tick: u64) -> anyhow::Result<()> {
         let mut missing = self.newest.len();
         while missing > 0 {
-            wait(&self.listener, &mut self.vigil)?;
+            wait(&self.listener, &mut self.wait_limit)?;
             while let Some(sample) = self.ranges.receive().map_err(|error| refused("range", error))? {
                 let range = *sample.payload();
                 let newest = self.newest.get_mut(range[ROBOT] as usize);
@@ -159,7 +159,7 @@ impl super::Centre for Centre<'_> {
                 missing -= 1;
             }
         }
-        self.vigil.end();
+        self.wait_limit.reset();
         Ok(())
     }
 
@@ -175,7 +175,7 @@ pub(super) struct Robot<'a> {
     commands: Subscriber<ipc::Service, Command, ()>,
     notifier: Notifier<ipc::Service>,
     listener: Listener<ipc::Service>,
-    vigil: Vigil<'a>,
+    wait_limit: WaitLimit<'a>,
     _place: Place,
 }
 
@@ -194,7 +194,7 @@ impl<'a> Robot<'a> {
             commands: place.commands()?.subscriber_builder().create().map_err(|error| port(&error))?,
             notifier: notifier.map_err(|error| port(&error))?,
             listener: place.command_event()?.listener_builder().create().map_err(|error| port(&error))?,
-            vigil: Vigil::new(termination, silence),
+            wait_limit: WaitLimit::new(termination, silence),
             _place: place,
         })
     }
@@ -210,12 +210,12 @@ impl super::Robot for Robot<'_> {
     fn command(&mut self, tick: u64) -> anyhow::Result<Command> {
         let mut newest = None;
         while newest.is_none() {
-            wait(&self.listener, &mut self.vigil)?;
+            wait(&self.listener, &mut self.wait_limit)?;
             while let Some(sample) = self.commands.receive().map_err(|error| refused("command", error))? {
                 newest = Some(*sample.payload()).filter(|command| command[TICK] == tick);
             }
         }
-        self.vigil.end();
+        self.wait_limit.reset();
         newest.ok_or_else(|| anyhow!("no command came: expected that of tick {tick}"))
     }
 }

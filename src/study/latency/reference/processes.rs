@@ -45,7 +45,7 @@ pub(in crate::study::latency) fn measure(
     hosts: Option<&Hosts>,
     mut robot: impl FnMut(&mut dyn Iterator<Item = anyhow::Result<Exchange>>) -> anyhow::Result<()>,
 ) -> Result<(), Failure> {
-    let run = Rendezvous::found(&experiment.name, experiment.description.clone()).map_err(input_or_running)?;
+    let run = Rendezvous::create(&experiment.name, experiment.description.clone()).map_err(input_or_running)?;
     if reference == Reference::Futex {
         futex::create(&run)?;
     }

@@ -1,4 +1,4 @@
-//! The invariants, checked during an exploration: every action of a node is reported to the witness.
+//! The invariants, checked during an exploration: every action of a node is reported to the checker.
 //!
 //! | module | what |
 //! |---|---|
@@ -30,7 +30,7 @@ use timing::{Missing, Timing};
 
 /// All that has been observed of a team.
 #[derive(Debug)]
-pub(super) struct Witness {
+pub(super) struct Checker {
     /// Digests of the undisturbed run by tick.
     undisturbed: Rc<Vec<[u64; 2]>>,
     /// The last tick up to which no robot was missing and all robots obeyed: up to it the run must equal the
@@ -66,8 +66,8 @@ pub(super) struct Witness {
     fused: HashMap<(usize, u64), u64>,
 }
 
-impl Witness {
-    /// A witness that knows the digests by tick of the undisturbed run.
+impl Checker {
+    /// A checker with the digests by tick of the undisturbed run.
     pub(super) fn new(scenario: &Scenario, undisturbed: Rc<Vec<[u64; 2]>>, plan: &Plan) -> Self {
         let robots = scenario.robots.len();
         let is_realtime = scenario.clock == Clock::Realtime;

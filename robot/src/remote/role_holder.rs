@@ -18,7 +18,7 @@ pub fn silence_max_ns(round_trip_ns: u64) -> u64 {
 
 /// The process that has a robot's role, as the gateway knows it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Occupant {
+pub struct RoleHolder {
     process: u64,
     heard_ns: u64,
 }
@@ -34,7 +34,7 @@ pub enum Claim {
     Succeeds,
 }
 
-impl Occupant {
+impl RoleHolder {
     /// A process that takes the role; `process` is a number that no other has.
     #[must_use]
     pub fn new(process: u64, now_ns: u64) -> Self {
@@ -85,23 +85,23 @@ mod tests {
 
     #[test]
     fn a_role_is_claimed_only_from_a_silent_process() {
-        let mut occupant = Occupant::new(7, 1_000);
-        assert_eq!(occupant.claim(8, NEAR_NS, 1_000 + SILENT_NS - 1), Claim::Refused);
-        assert_eq!(occupant.claim(8, NEAR_NS, 1_000 + SILENT_NS), Claim::Succeeds);
-        assert_eq!(occupant.claim(7, NEAR_NS, 1_000 + SILENT_NS), Claim::ComesBack);
-        assert_eq!(occupant.claim(8, NEAR_NS, 1_000 + SILENT_NS), Claim::Refused, "it was heard again");
-        assert!(!occupant.is_gone(1_000 + SILENT_NS + GONE_NS) && occupant.is_gone(1_001 + SILENT_NS + GONE_NS));
-        occupant.hear(u64::MAX);
-        assert_eq!(occupant.silence_ns(0), 0, "a clock that jumps back");
+        let mut holder = RoleHolder::new(7, 1_000);
+        assert_eq!(holder.claim(8, NEAR_NS, 1_000 + SILENT_NS - 1), Claim::Refused);
+        assert_eq!(holder.claim(8, NEAR_NS, 1_000 + SILENT_NS), Claim::Succeeds);
+        assert_eq!(holder.claim(7, NEAR_NS, 1_000 + SILENT_NS), Claim::ComesBack);
+        assert_eq!(holder.claim(8, NEAR_NS, 1_000 + SILENT_NS), Claim::Refused, "it was heard again");
+        assert!(!holder.is_gone(1_000 + SILENT_NS + GONE_NS) && holder.is_gone(1_001 + SILENT_NS + GONE_NS));
+        holder.hear(u64::MAX);
+        assert_eq!(holder.silence_ns(0), 0, "a clock that jumps back");
     }
 
     /// Its first frame comes a round trip after it has joined.
     #[test]
     fn over_a_slow_link_a_process_that_has_just_joined_keeps_its_role() {
         let round_trip_ns = 600_000_000;
-        let mut occupant = Occupant::new(7, 0);
-        assert_eq!(occupant.claim(8, round_trip_ns, 2 * round_trip_ns), Claim::Refused);
-        assert_eq!(occupant.claim(8, round_trip_ns, 3 * round_trip_ns), Claim::Succeeds);
+        let mut holder = RoleHolder::new(7, 0);
+        assert_eq!(holder.claim(8, round_trip_ns, 2 * round_trip_ns), Claim::Refused);
+        assert_eq!(holder.claim(8, round_trip_ns, 3 * round_trip_ns), Claim::Succeeds);
         assert_eq!([0, 150_000_000, u64::MAX].map(silence_max_ns), [SILENT_NS, SILENT_NS, GONE_NS]);
     }
 }

@@ -25,7 +25,7 @@ pub(in crate::study::explore) struct RobotHistory {
 
 /// The messages to one process of a robot, and its pending actions.
 #[derive(Debug, Clone)]
-pub(in crate::study::explore) struct RobotWitness {
+pub(in crate::study::explore) struct RobotChecker {
     is_realtime: bool,
     dt_ns: f64,
     /// Greatest incarnation of fusion that it knows.
@@ -65,7 +65,7 @@ impl RobotHistory {
     }
 }
 
-impl RobotWitness {
+impl RobotChecker {
     /// A robot that starts, and knows this incarnation of fusion.
     pub(in crate::study::explore) fn new(scenario: &Scenario, fusion_incarnation: u64) -> Self {
         Self {

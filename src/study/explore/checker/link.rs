@@ -74,7 +74,7 @@ fn driven(drive: &Drive) -> (Command, bool) {
 
 /// The messages and actions of one relay.
 #[derive(Debug)]
-pub(in crate::study::explore) struct LinkWitness {
+pub(in crate::study::explore) struct LinkChecker {
     last_tick: u64,
     /// The newest world: incarnation of the simulator and tick.
     newest: Option<(u64, u64)>,
@@ -90,7 +90,7 @@ pub(in crate::study::explore) struct LinkWitness {
     heading_ns: u64,
 }
 
-impl LinkWitness {
+impl LinkChecker {
     pub(in crate::study::explore) fn new(scenario: &Scenario, fusion_incarnation: u64, now_ns: u64) -> Self {
         Self {
             last_tick: scenario.ticks,

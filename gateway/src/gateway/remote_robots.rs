@@ -6,11 +6,11 @@ use std::rc::Rc;
 
 use quinn::Connection;
 use rangehound_node::bus::{Bus, BusError, Event, Events, Notifier, Publisher, Subscriber, WaitGroup};
-use rangehound_node::gateway_note::{GatewayNote, GuestNote, RobotOrder};
+use rangehound_node::gateway_note::{GatewayNote, RemoteRobotNote, RobotOrder};
 use rangehound_node::rendezvous::{Rendezvous, RendezvousError, Role, RoleLease};
 use rangehound_node::system::clock::monotonic_ns;
 use rangehound_robot::remote::wire::Uplink;
-use rangehound_robot::remote::{Claim, Occupant, Publication, Relay};
+use rangehound_robot::remote::{Claim, Publication, Relay, RoleHolder};
 use rangehound_shared::message::{Command, Drive, Outgoing, Range, WorldEntry};
 use rangehound_shared::protocol::wake::Notification;
 use rangehound_shared::protocol::{PROGRAM, PROTOCOL};
@@ -28,8 +28,8 @@ const NOTE_NS: u64 = 500_000_000;
 /// Interval of looks for orders to robots.
 const ORDERS_NS: u64 = 100_000_000;
 
-/// All of them.
-pub(super) struct Guests<'a> {
+/// All robots that have joined through the gateway.
+pub(super) struct RemoteRobots<'a> {
     rendezvous: &'a Rendezvous,
     sender: Sender<Input>,
     bus: Bus,
@@ -37,7 +37,7 @@ pub(super) struct Guests<'a> {
     headings: Subscriber<Command>,
     sim: Notifier,
     fusion: Notifier,
-    all: BTreeMap<usize, Guest>,
+    all: BTreeMap<usize, RemoteRobot>,
     /// Robots whose roles are being taken.
     asked_for: BTreeSet<usize>,
     /// To be published after the ranges, for which the whole team waits.
@@ -48,20 +48,20 @@ pub(super) struct Guests<'a> {
 }
 
 /// A robot on another host.
-struct Guest {
+struct RemoteRobot {
     lease: RoleLease,
     /// Ports of its own: each has a queue at the receiver, and one for all would lose messages of a large team.
     ranges: Publisher<Range>,
     drives: Publisher<Drive>,
     relay: Relay,
     connection: Connection,
-    occupant: Occupant,
+    holder: RoleHolder,
     host: String,
     allows_control: bool,
     notices: Sender<Notice>,
 }
 
-impl Guest {
+impl RemoteRobot {
     /// The round trip of its link, which is known before its first frame comes, ns.
     fn round_trip_ns(&self) -> u64 {
         link::round_trip_ns(&self.connection)
@@ -71,7 +71,7 @@ impl Guest {
 /// Why a robot does not get its role.
 type Refusal = (RefusalCause, String);
 
-impl<'a> Guests<'a> {
+impl<'a> RemoteRobots<'a> {
     pub(super) fn new(
         rendezvous: &'a Rendezvous,
         sender: Sender<Input>,
@@ -107,7 +107,7 @@ impl<'a> Guests<'a> {
             Input::Leaving { robot, connection } => {
                 // With its role, what it has driven would be lost.
                 self.publish_drives()?;
-                if self.all.get(&robot).is_some_and(|guest| guest.connection.stable_id() == connection) {
+                if self.all.get(&robot).is_some_and(|remote| remote.connection.stable_id() == connection) {
                     self.release(robot, "has left");
                 }
             }
@@ -129,8 +129,8 @@ impl<'a> Guests<'a> {
         let mut again = Vec::new();
         if events.has(Event::World) || events.is_empty() {
             worlds.drain(|header, entries| {
-                for (robot, guest) in all.iter_mut() {
-                    let answers = entries.get(*robot).map(|entry| guest.relay.on_world(header, entry));
+                for (robot, remote) in all.iter_mut() {
+                    let answers = entries.get(*robot).map(|entry| remote.relay.on_world(header, entry));
                     again.extend(answers.into_iter().flatten().map(|message| (*robot, message)));
                 }
             })?;
@@ -138,8 +138,8 @@ impl<'a> Guests<'a> {
         if events.has(Event::Heading) || events.is_empty() {
             let robots = self.rendezvous.description().scenario.robots.len();
             headings.drain(|header, commands| {
-                for (robot, guest) in all.iter_mut().filter(|_| commands.len() == robots) {
-                    guest.relay.on_heading(header, commands[*robot], now_ns);
+                for (robot, remote) in all.iter_mut().filter(|_| commands.len() == robots) {
+                    remote.relay.on_heading(header, commands[*robot], now_ns);
                 }
             })?;
             headings.take_impostors();
@@ -149,28 +149,28 @@ impl<'a> Guests<'a> {
 
     fn on_frame(&mut self, robot: usize, connection: usize, bytes: &[u8]) -> Result<(), BusError> {
         let run_id = self.rendezvous.description().run_id;
-        let is_it = |guest: &&mut Guest| guest.connection.stable_id() == connection;
-        let Some(guest) = self.all.get_mut(&robot).filter(is_it) else { return Ok(()) };
+        let is_it = |remote: &&mut RemoteRobot| remote.connection.stable_id() == connection;
+        let Some(remote) = self.all.get_mut(&robot).filter(is_it) else { return Ok(()) };
         let now_ns = monotonic_ns();
-        let news = Uplink::from_bytes(bytes, run_id).and_then(|frame| guest.relay.on_uplink(&frame, now_ns));
+        let news = Uplink::from_bytes(bytes, run_id).and_then(|frame| remote.relay.on_uplink(&frame, now_ns));
         let news = match news {
             Ok(news) => news,
             Err(error) => {
                 let what = format_args!("sends an invalid frame for robot-{robot}: {error}");
-                self.refusals.borrow_mut().add(guest.connection.remote_address().ip(), error.name(), what);
+                self.refusals.borrow_mut().add(remote.connection.remote_address().ip(), error.name(), what);
                 return Ok(());
             }
         };
-        guest.occupant.hear(now_ns);
+        remote.holder.hear(now_ns);
         news.into_iter().try_for_each(|message| self.publish(robot, message))
     }
 
     fn publish(&mut self, robot: usize, message: Publication) -> Result<(), BusError> {
         match message {
             Publication::Range(range, notification) => {
-                let Some(guest) = self.all.get(&robot) else { return Ok(()) };
-                self.bus.speak_as(guest.lease.incarnation);
-                guest.ranges.send_one(&range)?;
+                let Some(remote) = self.all.get(&robot) else { return Ok(()) };
+                self.bus.speak_as(remote.lease.incarnation);
+                remote.ranges.send_one(&range)?;
                 self.fusion.notify(&notification);
             }
             Publication::Drive(drive, notification) => self.drives.push((robot, drive, notification)),
@@ -181,9 +181,9 @@ impl<'a> Guests<'a> {
     /// Publishes what the robots drive, after everything that has come is read.
     pub(super) fn publish_drives(&mut self) -> Result<(), BusError> {
         for (robot, drive, notification) in self.drives.drain(..) {
-            let Some(guest) = self.all.get(&robot) else { continue };
-            self.bus.speak_as(guest.lease.incarnation);
-            guest.drives.send_one(&drive)?;
+            let Some(remote) = self.all.get(&robot) else { continue };
+            self.bus.speak_as(remote.lease.incarnation);
+            remote.drives.send_one(&drive)?;
             notification.iter().for_each(|notification| self.sim.notify(notification));
         }
         Ok(())
@@ -232,18 +232,18 @@ impl<'a> Guests<'a> {
     /// True if it is the process that has the role. Frees the role of one that is not heard any more.
     fn reconnect(&mut self, applicant: &Applicant) -> Result<bool, Refusal> {
         let Applicant { request: Request { robot, process, .. }, connection, notices, .. } = applicant;
-        let Some(guest) = self.all.get_mut(robot) else { return Ok(false) };
+        let Some(remote) = self.all.get_mut(robot) else { return Ok(false) };
         let now_ns = monotonic_ns();
-        match guest.occupant.claim(*process, guest.round_trip_ns(), now_ns) {
+        match remote.holder.claim(*process, remote.round_trip_ns(), now_ns) {
             Claim::ComesBack => {
-                guest.connection.close(link::REPLACED, b"the robot has connected again");
-                (guest.connection, guest.notices) = (connection.clone(), notices.clone());
-                guest.relay.reconnect();
+                remote.connection.close(link::REPLACED, b"the robot has connected again");
+                (remote.connection, remote.notices) = (connection.clone(), notices.clone());
+                remote.relay.reconnect();
                 Ok(true)
             }
             Claim::Refused => Err((
                 RefusalCause::RoleTaken,
-                format!("host {} already runs this robot: end it there, or choose another --id", guest.host),
+                format!("host {} already runs this robot: end it there, or choose another --id", remote.host),
             )),
             Claim::Succeeds => {
                 self.release(*robot, "starts again");
@@ -301,9 +301,9 @@ impl<'a> Guests<'a> {
             self.report_order(robot, false);
         }
         let (connection, notices) = (connection.clone(), notices.clone());
-        let occupant = Occupant::new(process, monotonic_ns());
-        let guest = Guest { lease, ranges, drives, relay, connection, occupant, host, allows_control, notices };
-        self.all.insert(robot, guest);
+        let holder = RoleHolder::new(process, monotonic_ns());
+        let remote = RemoteRobot { lease, ranges, drives, relay, connection, holder, host, allows_control, notices };
+        self.all.insert(robot, remote);
         self.sim.signal(Event::Hello);
         Ok(())
     }
@@ -327,30 +327,30 @@ impl<'a> Guests<'a> {
     }
 
     fn release(&mut self, robot: usize, why: &str) {
-        if let Some(guest) = self.all.remove(&robot) {
-            log::info!("robot-{robot} of {} {why}", guest.host);
-            guest.connection.close(link::SILENT, why.as_bytes());
+        if let Some(remote) = self.all.remove(&robot) {
+            log::info!("robot-{robot} of {} {why}", remote.host);
+            remote.connection.close(link::SILENT, why.as_bytes());
         }
     }
 
     /// Renews the roles of the robots that are heard, releases those of the others, and passes on orders of this host's tools.
     pub(super) fn look(&mut self, now_ns: u64) {
-        let is_heard = |guest: &&Guest| guest.occupant.is_heard(guest.round_trip_ns(), now_ns);
-        self.all.values().filter(is_heard).for_each(|guest| guest.lease.renew(now_ns));
-        let gone = self.all.iter().filter(|(_, guest)| guest.occupant.is_gone(now_ns)).map(|(robot, _)| *robot);
+        let is_heard = |remote: &&RemoteRobot| remote.holder.is_heard(remote.round_trip_ns(), now_ns);
+        self.all.values().filter(is_heard).for_each(|remote| remote.lease.renew(now_ns));
+        let gone = self.all.iter().filter(|(_, remote)| remote.holder.is_gone(now_ns)).map(|(robot, _)| *robot);
         for robot in gone.collect::<Vec<_>>() {
             self.release(robot, "is silent: its role is free");
         }
         if now_ns >= self.ordered_ns.saturating_add(ORDERS_NS) {
             self.ordered_ns = now_ns;
-            for (robot, guest) in self.all.iter().filter(|(_, guest)| guest.allows_control) {
+            for (robot, remote) in self.all.iter().filter(|(_, remote)| remote.allows_control) {
                 if let Some(order) = RobotOrder::take(self.rendezvous, *robot) {
                     let (notice, what) = match order {
                         RobotOrder::Kill => (Notice::Kill, "is killed from the run's host"),
                         RobotOrder::End => (Notice::End, "is asked to end from the run's host"),
                     };
-                    log::info!("robot-{robot} of {} {what}", guest.host);
-                    if guest.notices.try_send(notice).is_err() {
+                    log::info!("robot-{robot} of {} {what}", remote.host);
+                    if remote.notices.try_send(notice).is_err() {
                         self.report_order(*robot, false);
                     }
                 }
@@ -365,23 +365,23 @@ impl<'a> Guests<'a> {
     }
 
     fn note(&self, now_ns: u64) -> GatewayNote {
-        let guests = self.all.iter().map(|(robot, guest)| {
-            let path = guest.connection.stats().path;
-            let [sent, repeated] = guest.relay.counts();
-            GuestNote {
+        let robots = self.all.iter().map(|(robot, remote)| {
+            let path = remote.connection.stats().path;
+            let [sent, repeated] = remote.relay.counts();
+            RemoteRobotNote {
                 robot: *robot,
-                host: guest.host.clone(),
-                address: guest.connection.remote_address().to_string(),
-                round_trip_us: guest.relay.round_trip_ns().map(|ns| ns / 1_000),
+                host: remote.host.clone(),
+                address: remote.connection.remote_address().to_string(),
+                round_trip_us: remote.relay.round_trip_ns().map(|ns| ns / 1_000),
                 lost: path.lost_packets as f64 / path.sent_packets.max(1) as f64,
                 repeated: repeated as f64 / sent.max(1) as f64,
-                silent_ms: guest.occupant.silence_ns(now_ns) / 1_000_000,
-                allows_control: guest.allows_control,
+                silent_ms: remote.holder.silence_ns(now_ns) / 1_000_000,
+                allows_control: remote.allows_control,
             }
         });
         let refusals = self.refusals.borrow();
         let refusals = refusals.counts().iter().map(|(cause, count)| ((*cause).to_owned(), *count));
-        GatewayNote { pid: std::process::id(), guests: guests.collect(), refusals: refusals.collect() }
+        GatewayNote { pid: std::process::id(), robots: robots.collect(), refusals: refusals.collect() }
     }
 
     /// The robots that have joined.
@@ -391,15 +391,15 @@ impl<'a> Guests<'a> {
 
     /// When the next frame is due, ns.
     pub(super) fn wakes_at_ns(&self) -> u64 {
-        self.all.values().map(|guest| guest.relay.wakes_at_ns()).min().unwrap_or(u64::MAX)
+        self.all.values().map(|remote| remote.relay.wakes_at_ns()).min().unwrap_or(u64::MAX)
     }
 
     /// Sends every frame that is due.
     pub(super) fn send_frames(&mut self) {
-        for guest in self.all.values_mut() {
-            if let Some(frame) = guest.relay.next_frame(monotonic_ns()) {
+        for remote in self.all.values_mut() {
+            if let Some(frame) = remote.relay.next_frame(monotonic_ns()) {
                 // A datagram that cannot be sent counts as lost.
-                let _ = guest.connection.send_datagram(frame.to_bytes().into());
+                let _ = remote.connection.send_datagram(frame.to_bytes().into());
             }
         }
     }

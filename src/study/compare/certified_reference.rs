@@ -6,7 +6,7 @@ use rangehound_shared::scenario::{PlannerSpec, defaults};
 
 /// The certified optimum of the same situations that other planners received.
 #[derive(Debug)]
-pub struct Yardstick {
+pub struct CertifiedReference {
     optimiser: Box<dyn Planner>,
     optimum: Plan,
     problem: Problem,
@@ -25,8 +25,8 @@ pub struct Distance {
     pub certified: bool,
 }
 
-impl Yardstick {
-    /// A yardstick for a team of `robots`.
+impl CertifiedReference {
+    /// The reference for a team of `robots`.
     ///
     /// # Errors
     /// [`PlannerError`] if no optimum can be computed for a team of this size.

@@ -18,7 +18,7 @@ struct Kept {
 /// Composes the robot's frames: it answers each frame of the gateway, and in real time repeats measurements of past ticks until
 /// the gateway has them.
 #[derive(Debug)]
-pub struct Courier {
+pub struct RobotEnd {
     run_id: u64,
     clock: Clock,
     /// The newest frame's stamp, and when it came, ns.
@@ -35,7 +35,7 @@ pub struct Courier {
     headed: Option<(u64, u64)>,
 }
 
-impl Courier {
+impl RobotEnd {
     /// The robot's end of the link to a run.
     #[must_use]
     pub fn new(run_id: u64, clock: Clock) -> Self {
@@ -122,7 +122,7 @@ impl Courier {
         let mut measured: Vec<Measured> = newest.into_iter().collect();
         for kept in self.kept.iter_mut().rev() {
             let is_newest = newest.is_some_and(|newest| newest.tick == kept.measured.tick);
-            // What does not fit is due in the next frame.
+            // Measurements that do not fit are due in the next frame.
             let is_sent = !is_newest && is_due(kept) && measured.len() < MEASUREMENTS_MAX;
             if is_sent {
                 measured.push(kept.measured);
