@@ -320,16 +320,17 @@ def test_frames_are_those_of_the_target_and_of_robots_that_have_reported():
 
     from builtin_interfaces.msg import Time
     from geometry_msgs.msg import TransformStamped
-    from rangehound.ros2.observer import Node
+    from rangehound.ros2.observer import Node, Topic
 
     sent = []
-    message = SimpleNamespace(transforms=[])
-    publisher = SimpleNamespace(publish=lambda message: sent.extend(message.transforms))
+    publisher = SimpleNamespace(publish=lambda message: sent.extend(message.transforms), get_subscription_count=lambda: 1)
+    topic = Topic(publisher, SimpleNamespace(transforms=[]))
+    assert topic.look()
     frames = [TransformStamped(child_frame_id=name) for name in ("target", "robot_0/base_link", "robot_2/base_link")]
     run = rh.simulate(ticks=5)
     arrays = {name: values[3:4].copy() for name, values in run.arrays.items()}
     arrays["believed_m"][0, 2] = np.nan
-    node = SimpleNamespace(_frames=(publisher, message, frames), _facts={"has_velocity": True}, _simulated=[0, 2])
+    node = SimpleNamespace(_frames=(topic, frames), _facts={"has_velocity": True}, _simulated=[0, 2])
     node._target_of = lambda tick: Node._target_of(node, tick)
     Node._publish_frames(node, rh.Tick(arrays), Time(sec=7))
     assert [frame.child_frame_id for frame in sent] == ["target", "robot_0/base_link"]

@@ -11,7 +11,7 @@ pub(super) const ALL: &str = "Examples:
   rangehound run mine.toml              and a run of it
   rangehound track ranges.csv --range-std 0.12
                                         track a target from recorded ranges
-  rangehound compare --robots 5         all planners on the same 1000 targets
+  rangehound compare --robots 5         six planners on the same 1000 targets
   rangehound kill robot-1               kill a robot of a run, as a crash would
   rangehound status --watch             show its processes, in another terminal
 
