@@ -21,11 +21,11 @@ use crate::link::{self, Answer, JoinError, Notice, Request};
 /// Time for a handshake and a request to join.
 const HANDSHAKE_TIMEOUT: Duration = Duration::from_secs(3);
 
-/// Time for which a refused peer may read why.
-const FAREWELL: Duration = Duration::from_secs(1);
+/// Longest time for which a peer may confirm its last message.
+const CONFIRMATION_MAX: Duration = Duration::from_secs(1);
 
 /// Time for which the handshake of a peer that is refused or goes away still counts as under way: it has cost a signature.
-const REST: Duration = Duration::from_secs(1);
+const PLACE_KEPT: Duration = Duration::from_secs(1);
 
 /// Handshakes under way from which on each peer must first prove its address: it costs a round trip, and a stranger with a
 /// false address gets no further.
@@ -83,9 +83,9 @@ impl Acceptor {
                     }
                     Ok(Err(NotJoined::Refused(cause, text))) => {
                         acceptor.refuse(address, cause, &text);
-                        tokio::time::sleep(REST).await;
+                        tokio::time::sleep(PLACE_KEPT).await;
                     }
-                    Ok(Err(NotJoined::Gone)) => tokio::time::sleep(REST).await,
+                    Ok(Err(NotJoined::Gone)) => tokio::time::sleep(PLACE_KEPT).await,
                     Ok(Err(NotJoined::Answered)) | Err(_) => {}
                 }
             });
@@ -132,12 +132,12 @@ impl Acceptor {
                 Ok(RemoteRobot { robot, connection, receive, send, notices })
             }
             Answer::Refused { ref text, .. } => {
-                say_last(&connection, &mut send, &answer).await;
+                send_last(&connection, &mut send, &answer).await;
                 connection.close(link::REFUSED, text.as_bytes());
                 Err(NotJoined::Answered)
             }
             Answer::Finished => {
-                if say_last(&connection, &mut send, &answer).await {
+                if send_last(&connection, &mut send, &answer).await {
                     let _ = self.sender.send(Input::Informed { robot }).await;
                 }
                 Err(NotJoined::Answered)
@@ -146,11 +146,11 @@ impl Acceptor {
     }
 }
 
-/// Says the last message to a peer. True if the peer has it in time, or has left in order.
-async fn say_last(connection: &Connection, send: &mut SendStream, message: &impl Serialize) -> bool {
-    let said =
+/// Sends the last message to a peer. True if the peer has it in time, or has left in order.
+async fn send_last(connection: &Connection, send: &mut SendStream, message: &impl Serialize) -> bool {
+    let sending =
         async { link::write(send, message).await.is_ok() && send.finish().is_ok() && send.stopped().await.is_ok() };
-    let has_it = tokio::time::timeout(FAREWELL, said).await.unwrap_or(false);
+    let has_it = tokio::time::timeout(CONFIRMATION_MAX, sending).await.unwrap_or(false);
     let closed = connection.close_reason();
     has_it || matches!(closed, Some(ConnectionError::ApplicationClosed(closed)) if closed.error_code == link::LEFT)
 }
@@ -159,7 +159,7 @@ async fn say_last(connection: &Connection, send: &mut SendStream, message: &impl
 enum NotJoined {
     /// It was refused before it asked for a role.
     Refused(RefusalCause, String),
-    /// It asked for a role, and has been told why it does not get it.
+    /// It asked for a role, and was answered why it does not get it.
     Answered,
     /// It went away, or its link was cut: nobody refused it.
     Gone,
@@ -181,7 +181,7 @@ fn peer_of(connection: &Connection) -> Option<Peer> {
 }
 
 impl RemoteRobot {
-    /// Passes on the frames and the farewell of the robot, and tells it when the run is over or its process is to end. An order
+    /// Passes on the frames and the last message of the robot, and notifies it when the run is over or its process is to end. An order
     /// that it does not confirm in time must not reach it later: its link is closed.
     async fn attend(self, sender: &Sender<Input>, mut finished: watch::Receiver<bool>) {
         let Self { robot, connection, mut receive, mut send, mut notices } = self;
@@ -209,7 +209,7 @@ impl RemoteRobot {
                     Some(notice) = heard.recv() => Some(notice),
                     Some(order) = notices.recv() => {
                         let sent = link::write(&mut send, &order).await.is_ok();
-                        let confirmed = tokio::time::timeout(FAREWELL, confirmation(&mut heard, order)).await;
+                        let confirmed = tokio::time::timeout(CONFIRMATION_MAX, confirmation(&mut heard, order)).await;
                         let notice = confirmed.ok().flatten().filter(|_| sent);
                         let _ = sender.send(Input::Ordered { robot, has_arrived: notice.is_some() }).await;
                         if notice.is_none() {
@@ -218,7 +218,7 @@ impl RemoteRobot {
                         notice
                     }
                     Ok(_) = finished.wait_for(|finished| *finished) => {
-                        if say_last(&connection, &mut send, &Notice::Finished).await {
+                        if send_last(&connection, &mut send, &Notice::Finished).await {
                             let _ = sender.send(Input::Informed { robot }).await;
                         }
                         return;
@@ -229,7 +229,7 @@ impl RemoteRobot {
                 }
             }
         };
-        // A robot that leaves ends the frames, too: what it has said counts first.
+        // A robot that leaves ends the frames, too: its messages count first.
         tokio::select! {
             biased;
             () = talk => {}
@@ -239,7 +239,7 @@ impl RemoteRobot {
     }
 }
 
-/// A robot confirms an order by the same notice, or by its farewell.
+/// A robot confirms an order by the same notice, or by leaving.
 async fn confirmation(heard: &mut Receiver<Notice>, order: Notice) -> Option<Notice> {
     while let Some(notice) = heard.recv().await {
         if notice == order || notice == Notice::Leaving {

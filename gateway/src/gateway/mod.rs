@@ -34,13 +34,13 @@ use remote_robots::RemoteRobots;
 const INPUTS_MAX: usize = 256;
 
 /// Longest sleep.
-const LOOK: Duration = Duration::from_millis(50);
+const LONGEST_SLEEP: Duration = Duration::from_millis(50);
 
 /// Longest time for which the end of the run is announced to the robots: one whose link is lost needs it to connect again.
-const FAREWELL: Duration = Duration::from_secs(5);
+const INFORMING_MAX: Duration = Duration::from_secs(5);
 
 /// Longest time for which the packets that close the connections are sent.
-const CLOSING: Duration = Duration::from_secs(2);
+const CLOSING_MAX: Duration = Duration::from_secs(2);
 
 /// Why a gateway ended early.
 #[derive(Debug, thiserror::Error)]
@@ -141,10 +141,10 @@ pub fn run(
             if rendezvous.is_finished() || rendezvous.is_ending() {
                 let _ = finished.send(true);
                 let informing = inform(robots, &mut inputs, rendezvous.description().run_id, &lease);
-                let _ = tokio::time::timeout(FAREWELL, informing).await;
+                let _ = tokio::time::timeout(INFORMING_MAX, informing).await;
             }
             endpoint.close(link::LEFT, b"the gateway has ended");
-            let _ = tokio::time::timeout(CLOSING, endpoint.wait_idle()).await;
+            let _ = tokio::time::timeout(CLOSING_MAX, endpoint.wait_idle()).await;
             served
         });
         is_over.store(true, Ordering::Relaxed);
@@ -207,7 +207,7 @@ async fn serve(
         let now_ns = monotonic_ns();
         lease.renew(now_ns);
         rendezvous.look_for_removal(now_ns)?;
-        let wait = until(remote_robots.wakes_at_ns()).min(LOOK);
+        let wait = until(remote_robots.wakes_at_ns()).min(LONGEST_SLEEP);
         let mut next = tokio::time::timeout(wait, inputs.recv()).await.ok().flatten();
         may_have_ended = false;
         while let Some(input) = next {
@@ -230,7 +230,7 @@ async fn serve(
 async fn inform(mut robots: BTreeSet<usize>, inputs: &mut Receiver<Input>, run_id: u64, lease: &RoleLease) {
     while !robots.is_empty() {
         lease.renew(monotonic_ns());
-        match tokio::time::timeout(LOOK, inputs.recv()).await {
+        match tokio::time::timeout(LONGEST_SLEEP, inputs.recv()).await {
             Ok(Some(Input::Applicant(applicant))) => {
                 let answer = if applicant.request.took_part_in == Some(run_id) {
                     Answer::Finished

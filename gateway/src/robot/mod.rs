@@ -24,7 +24,7 @@ pub use session::Refusal;
 use session::{Connector, Happened, Session};
 
 /// Longest sleep: bounds how late the process sees that it is asked to end.
-const LOOK: Duration = Duration::from_millis(50);
+const LONGEST_SLEEP: Duration = Duration::from_millis(50);
 
 /// Where a robot connects, and as whom.
 #[derive(Debug, Clone)]
@@ -161,7 +161,7 @@ impl<E: FnMut(&Scenario) -> Option<Equipment>> Driver<E> {
     async fn take_part(&mut self, mut connector: Connector, termination: &Termination) -> Result<(), RobotError> {
         let mut session: Option<Session> = None;
         while !termination.requested() {
-            let wait = self.part.as_ref().map_or(LOOK, |part| part.wait(session.is_some()));
+            let wait = self.part.as_ref().map_or(LONGEST_SLEEP, |part| part.wait(session.is_some()));
             let happened = match &mut session {
                 Some(session) => session.next(wait).await,
                 None => connector.next(wait).await,
@@ -187,13 +187,13 @@ impl<E: FnMut(&Scenario) -> Option<Equipment>> Driver<E> {
                 }
                 Happened::Noticed(Notice::Finished) => break,
                 Happened::Finished(endpoint) => {
-                    session::say_goodbye(&endpoint).await;
+                    session::flush(&endpoint).await;
                     break;
                 }
                 Happened::Noticed(Notice::Kill) if self.allows_control => {
                     log::warn!("killed from the run's host");
                     if let Some(session) = &mut session {
-                        session.say(Notice::Kill).await;
+                        session.send_last(Notice::Kill).await;
                     }
                     kill_process(getpid(), Signal::KILL).map_err(std::io::Error::from)?;
                 }
@@ -229,7 +229,7 @@ impl<E: FnMut(&Scenario) -> Option<Equipment>> Driver<E> {
         Ok(())
     }
 
-    /// Takes part in the run that the gateway describes, or says why it cannot.
+    /// Takes part in the run that the gateway describes, or returns why it cannot.
     fn join(&mut self, session: &Session) -> Result<(), String> {
         let Session { description: RunDescription { run_id, scenario, .. }, life, .. } = session;
         let of = RunLife { run_id: *run_id, life: *life };
@@ -256,7 +256,7 @@ impl Part {
     /// How long it may sleep. Without a link no frame is due.
     fn wait(&self, is_linked: bool) -> Duration {
         let due = [self.machine.wakes_at_ns(), self.robot_end.wakes_at_ns().filter(|_| is_linked)];
-        due.into_iter().flatten().map(until).min().unwrap_or(LOOK).min(LOOK)
+        due.into_iter().flatten().map(until).min().unwrap_or(LONGEST_SLEEP).min(LONGEST_SLEEP)
     }
 
     fn on_frame(&mut self, bytes: &[u8]) {

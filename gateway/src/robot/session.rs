@@ -17,19 +17,19 @@ use crate::link::{self, Answer, Notice, Request};
 
 /// Time for one attempt to connect and to join. A handshake that takes longer goes on beside those of the next attempts: over a
 /// slow link it needs the time, and after a cut a new one is there sooner.
-const ATTEMPT: Duration = Duration::from_millis(800);
+const ATTEMPT_MAX: Duration = Duration::from_millis(800);
 
 /// Round trips for which a robot that has connected waits for the answer, at least.
 const JOIN_ROUND_TRIPS: u32 = 3;
 
 /// Time between two attempts.
-const BETWEEN: Duration = Duration::from_millis(100);
+const RETRY_DELAY: Duration = Duration::from_millis(100);
 
 /// Time until the next attempt of a robot that does not fit the run.
-const MISFIT: Duration = Duration::from_secs(1);
+const MISFIT_RETRY_DELAY: Duration = Duration::from_secs(1);
 
 /// Time in which a robot that leaves must reach the gateway.
-const FAREWELL: Duration = Duration::from_millis(500);
+const CLOSING_MAX: Duration = Duration::from_millis(500);
 
 /// An event at the link.
 pub(super) enum Happened {
@@ -131,7 +131,7 @@ impl Connector {
                 Err(reason) => Happened::Unreachable(reason),
             };
             if !matches!(happened, Happened::Joined(_)) {
-                tokio::time::sleep(BETWEEN).await;
+                tokio::time::sleep(RETRY_DELAY).await;
             }
             (happened, handshakes)
         }));
@@ -161,7 +161,7 @@ impl Connector {
     /// Lets the attempt that has just succeeded count as refused. The next one follows some time later.
     pub(super) fn refuse(&mut self, refusal: Refusal) {
         self.attempt = Some(tokio::task::spawn_local(async move {
-            tokio::time::sleep(MISFIT).await;
+            tokio::time::sleep(MISFIT_RETRY_DELAY).await;
             (Happened::Refused(refusal), Handshakes::new())
         }));
     }
@@ -209,7 +209,7 @@ async fn open(
         let text = format!("{address} is another host: --keys is missing (`rangehound keys` makes them)");
         return Happened::Refused(Refusal { text, may_change: false });
     }
-    let ends = Instant::now() + ATTEMPT;
+    let ends = Instant::now() + ATTEMPT_MAX;
     if let Err(reason) = begin(address, config, handshakes) {
         return Happened::Unreachable(reason);
     }
@@ -305,8 +305,8 @@ async fn join(endpoint: Endpoint, connection: &Connection, request: &Request) ->
 }
 
 /// Sends the last packets of connections that are closed.
-pub(super) async fn say_goodbye(endpoint: &Endpoint) {
-    let _ = timeout(FAREWELL, endpoint.wait_idle()).await;
+pub(super) async fn flush(endpoint: &Endpoint) {
+    let _ = timeout(CLOSING_MAX, endpoint.wait_idle()).await;
 }
 
 async fn notice_of(mut receive: RecvStream) -> Option<Notice> {
@@ -322,7 +322,7 @@ impl Session {
                 Ok(bytes) => return Happened::Frame(bytes.into()),
                 Err(_) if *is_noticed => None,
                 // A notice may have come with the end.
-                Err(_) => timeout(FAREWELL, notice).await.ok(),
+                Err(_) => timeout(CLOSING_MAX, notice).await.ok(),
             },
             ended = &mut *notice, if !*is_noticed => Some(ended),
             () = tokio::time::sleep(wait) => return Happened::Nothing,
@@ -350,21 +350,21 @@ impl Session {
     }
 
     /// Sends its last message, and waits for some time until the gateway has it.
-    pub(super) async fn say(&mut self, notice: Notice) {
+    pub(super) async fn send_last(&mut self, notice: Notice) {
         let sending = async {
             if link::write(&mut self.send, &notice).await.is_ok() {
                 let _ = self.send.finish();
                 let _ = self.send.stopped().await;
             }
         };
-        let _ = timeout(FAREWELL, sending).await;
+        let _ = timeout(CLOSING_MAX, sending).await;
     }
 
     /// Leaves in order: the gateway frees the role.
     pub(super) async fn leave(mut self) {
         self.notice.abort();
-        self.say(Notice::Leaving).await;
+        self.send_last(Notice::Leaving).await;
         self.connection.close(link::LEFT, b"the robot has left");
-        say_goodbye(&self.endpoint).await;
+        flush(&self.endpoint).await;
     }
 }

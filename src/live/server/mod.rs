@@ -35,7 +35,7 @@ const REQUEST: Duration = Duration::from_secs(10);
 const HEAD_MAX: usize = 16 << 10;
 
 /// Time for viewers to receive the end of a run.
-const FAREWELL: Duration = Duration::from_secs(2);
+const CLOSING_MAX: Duration = Duration::from_secs(2);
 
 /// The page of one run while it is served.
 pub(super) struct Server {
@@ -98,7 +98,7 @@ impl Server {
     pub(super) fn end(&self, reason: &str) {
         self.update(|scene| scene.end(reason));
         let began = Instant::now();
-        while self.viewers() > 0 && began.elapsed() < FAREWELL {
+        while self.viewers() > 0 && began.elapsed() < CLOSING_MAX {
             std::thread::sleep(Duration::from_millis(5));
         }
     }
