@@ -125,7 +125,8 @@ impl<'a> Nodes<'a> {
                 ));
             }
             self.lease.renew(monotonic_ns());
-            self.wait_for_a_death(watch::POLL_INTERVAL.saturating_sub(looked.elapsed()));
+            let to_look = watch::POLL_INTERVAL.saturating_sub(looked.elapsed());
+            self.wait_for_a_death(to_look.min(silence::POLL_INTERVAL.saturating_sub(listened.elapsed())));
             if looked.elapsed() >= watch::POLL_INTERVAL {
                 look();
                 looked = Instant::now();
@@ -136,7 +137,9 @@ impl<'a> Nodes<'a> {
                 }
                 self.leads = self.leads.max(self.rendezvous.roster().starts(Role::Fusion));
                 self.listen();
-                listened = Instant::now();
+                // On a schedule, because each time counts as one interval of silence. After a pause none is made up for.
+                let due = listened + silence::POLL_INTERVAL;
+                listened = if due.elapsed() < silence::POLL_INTERVAL { due } else { Instant::now() };
             }
             if let Some(removed) = self.reap()? {
                 return Ok(Ended::Removed(removed));
