@@ -46,18 +46,22 @@ def test_the_python_of_the_book_runs(page, number, python, program, runs, tmp_pa
     assert "False" not in done.stdout.replace("'valid': False", "").replace("'sound': False", "")
 
 
-#: Commands that need more than the package: a network, a workspace of ROS, a screen, or another program.
-NEEDS_MORE = ("pip install", "source ", "python3 -m venv", "rviz2", "starts the viewer", "--connect")
+#: Commands that need more than the package: a network, a workspace of ROS, a screen, real robots, or another program.
+NEEDS_MORE = ("pip install", "source ", "python3 -m venv", "rviz2", "starts the viewer", "--name team", "--connect")
 
 
 @pytest.mark.parametrize(
     ("page", "needs", "writes"),
-    [("docs/python.md", "numpy", "runs/demo/estimate.ticks"), ("docs/viewers.md", "rerun", "demo.rrd"), ("docs/ros2.md", "rclpy", "runs/demo/report.json")],
+    [
+        ("docs/python.md", "numpy", "runs/demo/estimate.ticks"),
+        ("docs/viewers.md", "rerun", "demo.rrd"),
+        ("docs/ros2.md", "rclpy", "runs/demo/report.json"),
+    ],
 )
 def test_the_shell_commands_of_the_book_run(page, needs, writes, program, name, tmp_path):
     pytest.importorskip(needs)
     (tmp_path / "scenarios").symlink_to(ROOT / "scenarios")
-    lines = [line for block in blocks(page, "sh") if "demo" in block for line in block.splitlines()]
+    lines = [line for block in blocks(page, "sh") for line in block.splitlines()]
     commands = "\n".join(line for line in lines if not any(words in line for words in NEEDS_MORE))
     # In a shell each command starts at once, and the page's runs are long.
     commands = re.sub(r"^(python3 -m [^#&\n]*)(#.*)?$", r"\1 &", commands, flags=re.MULTILINE)
