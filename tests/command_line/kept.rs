@@ -195,7 +195,7 @@ fn a_run_that_goes_on_keeps_its_recording() {
     let supervisor = run.command("run --record --clock realtime --ticks 40");
     run.wait_for_ticks(5);
     assert_refused(&start(&run, "record out"), "over");
-    assert_refused(&start(&run, &format!("record --name {}", run.name)), "another process is writing it");
+    assert_refused(&start(&run, &format!("record --name {}", run.name)), "another process is writing ");
     supervisor.finish().succeeded();
     let replayed = start(&run, "replay out/run.mcap --json").succeeded();
     let json: Value = serde_json::from_str(&replayed.stdout).unwrap();

@@ -23,6 +23,8 @@ fn a_killed_fusion_is_succeeded_by_its_standby_and_nothing_changes() {
         run.wait_until("a standby is there", || run.is_held("standby-1") || run.is_held("standby-2"));
         signal(leader, Signal::KILL);
         wait_for_lead(&run, start + 1);
+        let reported = || supervisor.stderr().lines().filter(|line| line.contains("; a standby ")).count() as u64;
+        run.wait_until("the supervisor tells who leads", || reported() == start);
     }
     supervisor.finish().succeeded();
     assert_eq!(run.digest(), digest_in_process(words));
