@@ -179,7 +179,7 @@ fn a_recording_replaces_no_file_but_a_poorer_one_of_the_same_run() {
         let log = std::fs::File::options().write(true).open(run.path("out").join(log)).unwrap();
         log.set_len(log.metadata().unwrap().len() / 40).unwrap();
     }
-    assert_refused(&start(&run, "record out"), "it holds 301 ticks of the run");
+    assert_refused(&start(&run, "record out"), "holds 301 ticks of the run");
     assert!(intact == std::fs::read(run.path("out/run.mcap")).unwrap());
     assert!(!run.path("out/run.mcap.partial").exists());
     // The input of a repair is protected too.

@@ -62,7 +62,10 @@ pub enum Problem {
 impl Problem {
     pub(super) fn unreadable(error: &std::io::Error) -> Self {
         let is_missing = error.kind() == std::io::ErrorKind::NotFound;
-        Self::Unreadable(format!("{error}: {}", if is_missing { "check the path" } else { "expected a table" }))
+        Self::Unreadable(format!(
+            "{error}: {}",
+            if is_missing { "expected the path of a file" } else { "expected a table" }
+        ))
     }
 
     /// The message for a file.

@@ -70,7 +70,7 @@ struct Node {
     summary: NodeSummary,
     /// How its last process ended.
     last_end: String,
-    /// True if its process led at the last look.
+    /// True if its process led when it was last seen alive.
     leads: bool,
 }
 
@@ -174,7 +174,11 @@ impl<'a> Nodes<'a> {
         let Self { rendezvous, nodes, machine, .. } = self;
         machine.look(&rendezvous.description().scenario, |index| {
             let seen = nodes[index].see(rendezvous.roster());
-            nodes[index].leads = seen.leads;
+            // One that has ended just now may have a successor already.
+            let node = &mut nodes[index];
+            if node.can_lead() && node.is_running() {
+                node.leads = seen.leads;
+            }
             seen
         });
     }
