@@ -173,6 +173,11 @@ mod tests {
     use super::*;
 
     #[test]
+    fn one_thing_has_no_plural() {
+        assert_eq!([0, 1, 2].map(|count| counted(count, "run")), ["0 runs", "1 run", "2 runs"]);
+    }
+
+    #[test]
     fn long_lines_go_on_below_their_beginning() {
         let items: Vec<String> = (0..30).map(|number| format!("item {number}")).collect();
         let text = field("label", items.join(", "));

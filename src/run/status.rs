@@ -325,6 +325,13 @@ mod tests {
     }
 
     #[test]
+    fn successive_robots_share_a_range() {
+        let names = |ids: &[usize]| names_of_robots(ids.iter().copied());
+        assert_eq!([&[7][..], &[0, 1], &[0, 2]].map(names), ["robot-7", "robots 0 and 1", "robots 0, 2"]);
+        assert_eq!(names(&[0, 1, 2, 3, 4, 7]), "robots 0 to 4, 7");
+    }
+
+    #[test]
     fn many_robots_that_are_gone_are_listed_by_id() {
         let text = text(&status(256, |id| if id % 3 == 0 { "running" } else { "gone" }), false);
         assert!(text.contains("171 robots") || text.contains("170 robots"), "{text}");

@@ -190,6 +190,17 @@ fn a_recording_replaces_no_file_but_a_poorer_one_of_the_same_run() {
 }
 
 #[test]
+fn a_run_without_states_is_not_resumed_and_stays_as_it_is() {
+    let run = Run::new();
+    let made = start(&run, "run --in-process --ticks 30 --clock realtime --out out").succeeded();
+    assert!(made.stdout.contains("  in one process   30 ticks in ") && !made.stdout.contains("realtime"), "{made:#?}");
+    let before = snapshot(&run.path("out"));
+    assert_refused(&start(&run, &format!("resume out --name {}", run.name)), "sim.checkpoint is missing");
+    assert!(before == snapshot(&run.path("out")));
+    run.assert_nothing_left();
+}
+
+#[test]
 fn a_run_that_goes_on_keeps_its_recording() {
     let run = Run::new();
     let supervisor = run.command("run --record --clock realtime --ticks 40");
