@@ -112,6 +112,14 @@ impl Write for AboveBar {
     }
 }
 
+/// A number of things: `1 run`, `2 runs`.
+#[must_use]
+pub fn counted(count: impl Display, what: &str) -> String {
+    let count = count.to_string();
+    let s = if count == "1" { "" } else { "s" };
+    format!("{count} {what}{s}")
+}
+
 /// A line of a report, `  label            text`, broken after commas if it is too long.
 #[must_use]
 pub fn field(label: &str, text: impl Display) -> String {
@@ -163,6 +171,11 @@ fn broken(text: &str, indent: usize, separator: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn one_thing_has_no_plural() {
+        assert_eq!([0, 1, 2].map(|count| counted(count, "run")), ["0 runs", "1 run", "2 runs"]);
+    }
 
     #[test]
     fn long_lines_go_on_below_their_beginning() {

@@ -48,7 +48,7 @@ pub enum CheckpointError {
         kept: PathBuf,
     },
     /// The system refuses.
-    #[error("{}: {source}", .file.display())]
+    #[error("cannot use {}: {source}: check that it can be read and written, and that its disk has room", .file.display())]
     Io {
         /// The file.
         file: PathBuf,
@@ -56,7 +56,7 @@ pub enum CheckpointError {
         source: std::io::Error,
     },
     /// The state cannot be encoded.
-    #[error("{}: {reason}", .file.display())]
+    #[error("cannot write {}: {reason}: please report this", .file.display())]
     Unencodable {
         /// The file.
         file: PathBuf,

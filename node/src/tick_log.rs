@@ -23,15 +23,17 @@ const BATCH_LEN: usize = 1 << 16;
 
 /// A log file could not be used.
 #[derive(Debug, thiserror::Error)]
-#[error("cannot use the log {}: {reason}", .file.display())]
+#[error("cannot use the log {}: {reason}: {advice}", .file.display())]
 pub struct TickLogError {
     file: PathBuf,
     reason: String,
+    advice: &'static str,
 }
 
 impl TickLogError {
     fn new(file: &Path, reason: impl ToString) -> Self {
-        Self { file: file.to_owned(), reason: reason.to_string() }
+        let advice = "check that it can be read and written, and that its disk has room";
+        Self { file: file.to_owned(), reason: reason.to_string(), advice }
     }
 }
 
@@ -222,7 +224,10 @@ impl<R: Record> TickLogReader<R> {
         let mut input = BufReader::with_capacity(1 << 16, file);
         let mut header = vec![0; layout.header.len()];
         if input.read_exact(&mut header).is_err() || header != layout.header {
-            return Err(TickLogError::new(path, "not a log of this run"));
+            return Err(TickLogError {
+                advice: "move it away",
+                ..TickLogError::new(path, "it is not a log of this run")
+            });
         }
         Ok(Self { input, path: path.to_owned(), bytes: vec![0; layout.record_len], layout, record, tick: 0 })
     }

@@ -75,7 +75,7 @@ def show(flags: argparse.Namespace) -> None:
             print(f"run {flags.name}: sends to the viewer at {url}", flush=True)
     except (OSError, RuntimeError, ValueError) as error:
         message = " ".join(str(error).split())
-        raise _native.InputError(f"Rerun cannot be used: expected a viewer, or a file that can be written: {message}") from error
+        raise _native.InputError(f"cannot use Rerun: {message}: expected a viewer, or a file that can be written") from error
     recording.send_blueprint(blueprint(rerun))
     picture = Picture(rerun, recording)
     _command.give_way()

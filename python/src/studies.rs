@@ -183,8 +183,9 @@ const MODELS: usize = rangehound::study::calibrate::model::Model::ALL.len();
 #[pyo3(signature = (keys, toml, *, reading=None))]
 pub(crate) fn calibrated(py: Python<'_>, keys: &str, toml: &str, reading: Option<Py<PyAny>>) -> PyResult<String> {
     let mut file = crate::scenario::from_keys(keys)?;
-    let found = calibration::parse(toml)
-        .map_err(|problem| input(format!("calibration: expected one as `calibrate` makes it: {problem}")))?;
+    let found = calibration::parse(toml).map_err(|problem| {
+        input(format!("cannot read the calibration: {problem}: expected one as `calibrate` makes it"))
+    })?;
     if let Some(table) = &mut file.recording {
         let given = table.clone();
         let read = move |bytes: &BytesRead| files::recording_of_with(&given, "the call of track", Path::new(""), bytes);

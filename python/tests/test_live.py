@@ -224,7 +224,7 @@ def test_faults_of_a_radio_are_one_line(by_hand, name, python):
     by_hand(["sim"], ticks=100)
     for radio, expected in (
         ("rh.Radio('/none')", "radio: /none: No such file or directory"),
-        ("rh.Radio('/dev/null', 'morse')", "radio: format: "),
+        ("rh.Radio('/dev/null', 'morse')", "radio: format is \"morse\": expected "),
         ("rh.Radio('/dev/null', 'dwm1001')", "--anchor is missing"),
         ("rh.Radio('/dev/null', max_age_s=float('nan'))", "max_age_s is NaN"),
         ("rh.Radio('/dev/null', scale=-1.0)", "expected"),

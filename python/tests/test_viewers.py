@@ -247,7 +247,7 @@ def test_a_viewer_that_is_not_there_is_one_line(command, name, program, tmp_path
             viewer = command("rerun", "--name", name, *args)
             _, err = viewer.communicate()
             lines = [line for line in err.splitlines() if line.startswith("python -m")]
-            assert viewer.returncode == 2 and len(lines) == 1 and "Rerun cannot be used: expected a viewer" in lines[0], err
+            assert viewer.returncode == 2 and len(lines) == 1 and "cannot use Rerun: " in lines[0] and lines[0].endswith(": expected a viewer, or a file that can be written"), err
 
 
 @pytest.mark.parametrize("answer, says", [(b"", "has not answered as a viewer does for 5 s"), (b"HTTP/1.1 400 Bad Request\r\n\r\n", "does not answer as a viewer does")])

@@ -129,8 +129,9 @@ impl TrackArgs {
         let assumed: Vec<String> = assumed.into_iter().filter(|(is, _)| *is).map(|(_, what)| what).collect();
         if !assumed.is_empty() {
             failure::print_stderr(format!(
-                "track: assumes {}: give these values if known, or estimate them with `rangehound calibrate`",
-                assumed.join(" and ")
+                "track: assumes {}: give {} if known, or run `rangehound calibrate`",
+                assumed.join(" and "),
+                if assumed.len() == 1 { "this value" } else { "these values" }
             ));
         }
         Ok(experiment)

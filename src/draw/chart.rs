@@ -123,7 +123,7 @@ pub type Drawn = Result<(), Box<dyn std::error::Error>>;
 /// # Errors
 /// If it cannot be drawn or written; names the file.
 pub fn draw_to_file(path: &Path, size: (u32, u32), draw: impl FnOnce(&Area<'_>) -> Drawn) -> anyhow::Result<()> {
-    let svg = draw_to_string(size, draw).map_err(|error| anyhow::anyhow!("{}: {error}", path.display()))?;
+    let svg = draw_to_string(size, draw).map_err(|error| anyhow::anyhow!("cannot draw {}: {error}", path.display()))?;
     atomic_file::write(path, svg)
 }
 

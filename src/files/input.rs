@@ -297,7 +297,7 @@ mod tests {
         for error in errors {
             let text = error.to_string();
             assert!(
-                text.starts_with("cannot read /nonexistent/r.csv: ") && text.ends_with(": expected a table"),
+                text.starts_with("cannot read /nonexistent/r.csv: ") && text.ends_with(": expected the path of a file"),
                 "{text}"
             );
         }

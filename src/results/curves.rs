@@ -106,7 +106,9 @@ impl<'a> CurvesBuilder<'a> {
     /// If the logs hold numbers that cannot be drawn.
     pub fn finish(self) -> anyhow::Result<Curves> {
         if !self.curves.can_be_drawn() {
-            anyhow::bail!("the logs have numbers that cannot be drawn (not finite, or too large)");
+            anyhow::bail!(
+                "the logs have numbers that cannot be drawn (not finite, or too large): check noise and units of the scenario"
+            );
         }
         Ok(self.curves)
     }

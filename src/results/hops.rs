@@ -132,7 +132,9 @@ impl Hops {
     /// Adds the hops of one robot in one tick, if all of its stamps are known.
     pub fn add(&mut self, stages: &Stages, robot: &RobotRecord) {
         let Some(durations_ns) = durations_ns(stages, robot) else { return };
-        for (samples, duration_ns) in self.0.iter_mut().zip(durations_ns) {
+        // A robot on the run's host has no hops between hosts.
+        let hops = if robot.network_ns > 0 { COUNT } else { COUNT - BETWEEN_HOSTS };
+        for (samples, duration_ns) in self.0.iter_mut().zip(durations_ns).take(hops) {
             samples.add(duration_ns);
         }
     }
@@ -186,6 +188,16 @@ mod tests {
         let durations_ns = super::durations_ns(&STAGES, &robot).unwrap();
         assert_eq!(durations_ns, [10, 20, 30, 40, 50, 60, 70, 20, 481, 100]);
         assert_eq!(Some(durations_ns.iter().sum()), robot.latency_ns());
+    }
+
+    #[test]
+    fn robots_of_the_runs_host_do_not_count_in_the_hops_between_hosts() {
+        let here = RobotRecord { range_sent_ns: Some(1_000), heading_held_ns: Some(1_280), ..RobotRecord::default() };
+        let there = RobotRecord { range_sent_ns: Some(700), heading_held_ns: Some(1_581), network_ns: 601, ..here };
+        let mut hops = Hops::new().unwrap();
+        [here, here, there].iter().for_each(|robot| hops.add(&STAGES, robot));
+        let HopSummary { network, .. } = hops.summary();
+        assert!(network.p50 > 0.59, "{network:?}");
     }
 
     #[test]

@@ -45,5 +45,5 @@ fn draw_errors(curves: &Curves, area: &Area<'_>) -> Drawn {
         points: errors,
     });
     let lines = std::iter::once(deviation).chain(error).collect();
-    OverTime { label: "position, m".to_owned(), lines, ..OverTime::default() }.draw_log(area, curves.span_s())
+    OverTime { label: "position error, m".to_owned(), lines, ..OverTime::default() }.draw_log(area, curves.span_s())
 }

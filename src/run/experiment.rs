@@ -146,7 +146,8 @@ impl Experiment {
         let (name, numbered) = match (name, naming) {
             (Some(name), _) => (name.clone(), None),
             (None, Naming::Exact) => {
-                (scenario.name.parse().map_err(|error| Failure::input(format!("name: {error}")))?, None)
+                let name = &scenario.name;
+                (name.parse().map_err(|error| Failure::input(format!("name is {name:?}: {error}")))?, None)
             }
             (None, Naming::Numbered) => {
                 let wanted = scenario.name.clone();

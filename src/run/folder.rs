@@ -4,6 +4,7 @@ use std::path::Path;
 
 use rangehound_node::rendezvous::{Role, RunDescription};
 use rangehound_node::system::bounded;
+use rangehound_node::tick_log::TickLogError;
 use rangehound_node::{checkpoint, logs};
 use rangehound_shared::scenario::{COPY, Source};
 use rangehound_shared::sealed;
@@ -118,6 +119,31 @@ pub fn read_description(folder: &Path) -> Result<RunDescription, Failure> {
     let out_dir = std::path::absolute(folder).map_err(|error| expected(&error))?;
     in_utf8("DIR", &out_dir)?;
     Ok(RunDescription { out_dir, ..description })
+}
+
+/// Checks that the nodes of a run to resume will find the states from which they go on.
+///
+/// # Errors
+/// [`Failure::Input`] if a node has logged ticks, and its state is missing.
+pub fn look_for_states(description: &RunDescription) -> Result<(), Failure> {
+    let out_dir = &description.out_dir;
+    // A log that cannot be read is another problem.
+    let has_ticks = |newest: Result<Option<u64>, TickLogError>| matches!(newest, Ok(Some(_)));
+    let logged = [
+        (Role::Sim, logs::read_worlds(description).and_then(|log| log.newest_tick())),
+        (Role::Fusion, logs::read_estimates(description).and_then(|log| log.newest_tick())),
+    ];
+    for (role, newest) in logged {
+        let state = out_dir.join(checkpoint::file_name(role));
+        if has_ticks(newest) && !state.exists() {
+            return Err(Failure::input(format!(
+                "cannot resume {}: {} is missing, which `run --in-process` does not write: start a new run",
+                out_dir.display(),
+                checkpoint::file_name(role)
+            )));
+        }
+    }
+    Ok(())
 }
 
 /// Claims the folder of a run to resume, and checks that its files can be written: a node that cannot write its log

@@ -141,7 +141,7 @@ pub fn this_program() -> process::Command {
 /// # Errors
 /// If the log cannot be opened, or the process cannot be started.
 pub fn start_logged(command: &mut process::Command, log: &Path) -> anyhow::Result<process::Child> {
-    let output = out_folder::append(log).with_context(|| log.display().to_string())?;
+    let output = out_folder::append(log).with_context(|| format!("cannot write {}", log.display()))?;
     command
         // Errors may quote its last message.
         .env("NO_COLOR", "1")

@@ -2,7 +2,7 @@
 
 use std::str::FromStr;
 
-use anyhow::Context;
+use anyhow::anyhow;
 use rustix::thread::{CpuSet, sched_getaffinity, sched_setaffinity};
 
 /// Which processors to run on.
@@ -34,8 +34,9 @@ impl Pin {
             }
             Self::Cpus(cpus) => cpus.iter().for_each(|cpu| set.set(*cpu)),
         }
-        sched_setaffinity(None, &set)
-            .with_context(|| format!("cannot run on the processors of --pin {self}: expected processors that exist"))
+        sched_setaffinity(None, &set).map_err(|error| {
+            anyhow!("cannot run on the processors of --pin {self}: {error}: expected processors that exist")
+        })
     }
 }
 

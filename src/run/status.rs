@@ -224,7 +224,7 @@ fn shown_sensor(name: &str) -> String {
     name.chars().take(SENSOR_CHARS_MAX - 3).chain("...".chars()).collect()
 }
 
-/// Robots by ascending ids, with ranges of successive ones: `robot-0 to 4, 7`.
+/// Robots by ascending ids, with ranges of successive ones: `robot-7`, `robots 0 and 1`, `robots 0 to 4, 7`.
 pub(crate) fn names_of_robots(ids: impl Iterator<Item = usize>) -> String {
     let mut runs: Vec<(usize, usize)> = Vec::new();
     for id in ids {
@@ -237,7 +237,11 @@ pub(crate) fn names_of_robots(ids: impl Iterator<Item = usize>) -> String {
         0 => first.to_string(),
         _ => format!("{first} to {last}"),
     });
-    format!("robot-{}", names.collect::<Vec<_>>().join(", "))
+    match runs[..] {
+        [(first, last)] if first == last => format!("robot-{first}"),
+        [(first, last)] if first + 1 == last => format!("robots {first} and {last}"),
+        _ => format!("robots {}", names.collect::<Vec<_>>().join(", ")),
+    }
 }
 
 #[cfg(test)]
@@ -321,10 +325,17 @@ mod tests {
     }
 
     #[test]
+    fn successive_robots_share_a_range() {
+        let names = |ids: &[usize]| names_of_robots(ids.iter().copied());
+        assert_eq!([&[7][..], &[0, 1], &[0, 2]].map(names), ["robot-7", "robots 0 and 1", "robots 0, 2"]);
+        assert_eq!(names(&[0, 1, 2, 3, 4, 7]), "robots 0 to 4, 7");
+    }
+
+    #[test]
     fn many_robots_that_are_gone_are_listed_by_id() {
         let text = text(&status(256, |id| if id % 3 == 0 { "running" } else { "gone" }), false);
         assert!(text.contains("171 robots") || text.contains("170 robots"), "{text}");
-        assert!(text.contains("robot-1 to 2, 4 to 5,") && text.contains("253 to 254"), "{text}");
+        assert!(text.contains("robots 1 to 2, 4 to 5,") && text.contains("253 to 254"), "{text}");
     }
 
     #[test]

@@ -179,7 +179,7 @@ fn a_recording_replaces_no_file_but_one_with_fewer_ticks_of_the_same_run() {
         let log = std::fs::File::options().write(true).open(run.path("out").join(log)).unwrap();
         log.set_len(log.metadata().unwrap().len() / 40).unwrap();
     }
-    assert_refused(&start(&run, "record out"), "it holds 301 ticks of the run");
+    assert_refused(&start(&run, "record out"), "holds 301 ticks of the run");
     assert!(intact == std::fs::read(run.path("out/run.mcap")).unwrap());
     assert!(!run.path("out/run.mcap.partial").exists());
     // The input of a repair is protected too.
@@ -190,12 +190,23 @@ fn a_recording_replaces_no_file_but_one_with_fewer_ticks_of_the_same_run() {
 }
 
 #[test]
+fn a_run_without_states_is_not_resumed_and_stays_as_it_is() {
+    let run = Run::new();
+    let made = start(&run, "run --in-process --ticks 30 --clock realtime --out out").succeeded();
+    assert!(made.stdout.contains("  in one process   30 ticks in ") && !made.stdout.contains("realtime"), "{made:#?}");
+    let before = snapshot(&run.path("out"));
+    assert_refused(&start(&run, &format!("resume out --name {}", run.name)), "sim.checkpoint is missing");
+    assert!(before == snapshot(&run.path("out")));
+    run.assert_nothing_left();
+}
+
+#[test]
 fn a_run_that_goes_on_keeps_its_recording() {
     let run = Run::new();
     let supervisor = run.command("run --record --clock realtime --ticks 40");
     run.wait_for_ticks(5);
     assert_refused(&start(&run, "record out"), "over");
-    assert_refused(&start(&run, &format!("record --name {}", run.name)), "another process is writing it");
+    assert_refused(&start(&run, &format!("record --name {}", run.name)), "another process is writing ");
     supervisor.finish().succeeded();
     let replayed = start(&run, "replay out/run.mcap --json").succeeded();
     let json: Value = serde_json::from_str(&replayed.stdout).unwrap();

@@ -93,7 +93,7 @@ fn a_run_reports_in_lines_that_fit_and_as_json() {
     // The simulator has not logged the tick in progress, but the ranges that fusion has count as published.
     let ranges = &run.report()["ranges"];
     assert!(ranges["published"].as_u64() >= Some(ranges["fused"].as_u64().unwrap()), "{ranges}");
-    assert!(reported.contains("hops, us p50") && reported.contains("robot-1          2 starts, 1 kills"), "{reported}");
+    assert!(reported.contains("hops, us p50") && reported.contains("robot-1          2 starts, 1 kill,"), "{reported}");
     assert_plain_and_narrow(&reported);
     let watched = watched.finish().succeeded().stdout;
     assert_plain_and_narrow(&watched);

@@ -1,5 +1,7 @@
 //! Standby fusions: leadership, take-over, and that no robot obeys two fusions.
 
+use std::time::Duration;
+
 use rustix::process::Signal;
 
 use crate::support::{Run, digest_in_process, is_alive, signal};
@@ -24,6 +26,13 @@ fn a_killed_fusion_is_succeeded_by_its_standby_and_nothing_changes() {
         signal(leader, Signal::KILL);
         wait_for_lead(&run, start + 1);
     }
+    // The supervisor looks several times a second who leads.
+    std::thread::sleep(Duration::from_millis(500));
+    run.wait_until("a standby is there", || run.is_held("standby-1") || run.is_held("standby-2"));
+    let reports = || supervisor.stderr().lines().filter(|line| line.contains("; a standby ")).count();
+    let before = reports();
+    signal(run.pid_of("fusion", 7), Signal::KILL);
+    run.wait_until("the supervisor tells who leads", || reports() > before);
     supervisor.finish().succeeded();
     assert_eq!(run.digest(), digest_in_process(words));
     let report = run.report();

@@ -225,7 +225,7 @@ fn a_checkpoint_that_cannot_be_used_is_refused_kept_and_never_half_read() {
         // A second attempt finds no state, and must not start over and overwrite the ticks so far.
         let ticks = run.ticks_done();
         let again = run.start(&["resume", "out", "--name", &run.name]).finish();
-        assert_one_line(&again, 1, &["sim of run", "saved no state"]);
+        assert_one_line(&again, 2, &["cannot resume", "sim.checkpoint is missing", "start a new run"]);
         assert_eq!(run.ticks_done(), ticks);
         run.assert_nothing_left();
     }

@@ -347,7 +347,7 @@ fn ranges_of_the_standard_type_need_a_topic_only() {
         let tracked = track(&run, &format!("{file} --topic /uwb/range --anchors anchors.csv"));
         assert_eq!(tracked.code, Some(0), "{tracked:#?}");
         assert!(
-            tracked.stderr.contains("3 ranges of 3 sensors") && tracked.stderr.contains("2 ranges of 0 left out"),
+            tracked.stderr.contains("3 ranges of 3 sensors") && tracked.stderr.contains("2 rows with range 0 left out"),
             "{tracked:#?}"
         );
         assert_eq!(run.read("recording.csv").lines().collect::<Vec<_>>(), expected, "{file}");

@@ -72,7 +72,7 @@ pub enum GatewayError {
     #[error("{0}")]
     Cryptography(String),
     /// Its socket or its view of the bus has failed.
-    #[error("the gateway receives nothing any more: its socket or the run's shared memory has failed")]
+    #[error("the gateway receives nothing any more: its socket or the run's shared memory has failed: start it again")]
     Deaf,
     /// The system.
     #[error("{0}")]

@@ -91,7 +91,7 @@ impl KeysArgs {
         let mut next = String::new();
         if authority_is_new {
             let folder = self.out.join(AUTHORITY_FOLDER);
-            made += &format!("{}: new authority; its key stays here, and secret\n", folder.display());
+            made += &format!("{}: new authority; its key stays here; keep it secret\n", folder.display());
         }
         for host in &hosts {
             let folder = self.folder(host);

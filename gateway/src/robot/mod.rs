@@ -242,11 +242,21 @@ impl<E: FnMut(&Scenario) -> Option<Equipment>> Driver<E> {
             (rejoin == Rejoin::StartsAnew).then_some(part.equipment)
         });
         let machine = Machine::new(scenario, self.id, session.fusion_incarnation);
-        let machine = machine.ok_or_else(|| format!("robot {} is not in this run", self.id))?;
+        let machine = machine.ok_or_else(|| {
+            format!("robot {} is not in this run: expected 0 to {}", self.id, scenario.robots.len() - 1)
+        })?;
         let equipment = equipment.or_else(|| (self.equipment)(scenario));
+<<<<<<< HEAD
         let equipment = equipment.ok_or_else(|| format!("its driver has no equipment for robot {}", self.id))?;
         let robot_end = RobotEnd::new(*run_id, scenario.clock);
         self.part = Some(Part { of, machine, robot_end, equipment, is_moving: false, has_reported_frame: false });
+=======
+        let equipment = equipment.ok_or_else(|| {
+            format!("its driver has no equipment for robot {}: expected the id of a robot that it has", self.id)
+        })?;
+        let courier = Courier::new(*run_id, scenario.clock);
+        self.part = Some(Part { of, machine, courier, equipment, is_moving: false, has_reported_frame: false });
+>>>>>>> w-msg
         self.has_joined = true;
         Ok(())
     }

@@ -55,10 +55,10 @@ pub enum RendezvousError {
         build: OtherBuild,
     },
     /// The wait groups cannot be created.
-    #[error("the wait groups of the run in /dev/shm {0}")]
+    #[error("cannot use the wait groups of the run in /dev/shm: {0}: start the run again")]
     WaitGroups(#[from] BlockError),
     /// The system refuses a file operation.
-    #[error("cannot use {}: {source}", .path.display())]
+    #[error("cannot use {}: {source}: check that this user may use it, and that its disk has room", .path.display())]
     Io {
         /// The file or folder.
         path: PathBuf,

@@ -49,7 +49,7 @@ pub enum Shortage {
     },
     /// No usable folder for shared memory.
     #[error(
-        "cannot write to {SHARED_MEMORY}, where processes share memory: expected a folder that can be written: {0}"
+        "cannot write to {SHARED_MEMORY}, where processes share memory: {0}: expected a folder that can be written"
     )]
     NoSharedMemory(std::io::Error),
 }

@@ -61,7 +61,11 @@ pub enum Problem {
 
 impl Problem {
     pub(super) fn unreadable(error: &std::io::Error) -> Self {
-        Self::Unreadable(format!("{error}: expected a table"))
+        let is_missing = error.kind() == std::io::ErrorKind::NotFound;
+        Self::Unreadable(format!(
+            "{error}: {}",
+            if is_missing { "expected the path of a file" } else { "expected a table" }
+        ))
     }
 
     /// The message for a file.

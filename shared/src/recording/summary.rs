@@ -63,7 +63,7 @@ impl ReadSummary {
             lines.push(format!("{} dropped: equal to an earlier row", count(self.repeats, "repeated row")));
         }
         if self.not_heard > 0 {
-            lines.push(format!("{} of 0 left out: nothing was heard", count(self.not_heard, "range")));
+            lines.push(format!("{} with range 0 left out (no measurement)", count(self.not_heard, "row")));
         }
         if self.other_targets > 0 {
             lines.push(format!("{} of other targets left out", count(self.other_targets, "row")));

@@ -39,7 +39,7 @@ pub struct CompareArgs {
     /// Treatments of uncertain poses and biases to compare, separated by commas: ignored, inflated, schmidt, estimated
     #[arg(long, value_name = "NAMES", value_delimiter = ',', value_parser = TREATMENTS)]
     pub nuisances: Vec<String>,
-    /// Number of runs of each planner; run i has the same target, noise and prior for all planners
+    /// Number of runs for each row of the table; run i has the same target, noise and prior in all rows
     #[arg(long, value_name = "N", value_parser = whole, allow_negative_numbers = true, default_value_t = 1_000)]
     pub runs: u64,
     /// Number of time steps of a run

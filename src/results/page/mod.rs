@@ -15,8 +15,8 @@ use maud::{DOCTYPE, Markup, PreEscaped, html};
 use crate::files::atomic_file;
 use crate::files::layout::PAGE;
 use crate::results::curves::Curves;
-use crate::results::report::Report;
 use crate::results::report::verdict::Verdict;
+use crate::results::report::{IN_ONE_PROCESS, Report};
 
 /// Width of all pictures, px: labels are legible on a phone.
 const WIDTH: u32 = 1_000;
@@ -100,7 +100,7 @@ fn key_figures(report: &Report) -> Vec<(&'static str, String)> {
     let mut figures = vec![
         ("robots", report.robots.to_string()),
         ("planner", report.planner.clone()),
-        ("clock", report.clock.clone()),
+        ("clock", if report.in_one_process { IN_ONE_PROCESS.to_owned() } else { report.clock.clone() }),
         ("seed", report.seed.to_string()),
         ("ticks", format!("{} in {:.2} s", report.ticks, report.wall_s)),
     ];

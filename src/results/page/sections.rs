@@ -190,7 +190,7 @@ fn latency(report: &Report) -> anyhow::Result<Section> {
 
 fn hops(report: &Report) -> anyhow::Result<Section> {
     let picture = chart::draw_to_string((WIDTH, HEIGHT), |area| {
-        percentiles::draw_hops(area, &report.hops_us, COLOURS[6], "µs: median, and pale up to 99 %")
+        percentiles::draw_hops(area, &report.hops_us, COLOURS[6], "µs: median (dark) and 99th percentile (pale)")
     })?;
     Ok(section("Hops", "The parts of this time, on a logarithmic axis.", picture))
 }

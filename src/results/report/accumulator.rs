@@ -280,6 +280,7 @@ impl Accumulator {
             scenario: scenario.name.clone(),
             seed: scenario.seed,
             clock: scenario.clock.name().to_owned(),
+            in_one_process: false,
             planner: scenario.planner.name().to_owned(),
             robots: scenario.robots.len(),
             ticks: self.ticks,

@@ -20,7 +20,8 @@ pub mod verdict;
 use std::path::Path;
 
 use anyhow::Context;
-use rangehound_node::rendezvous::RunDescription;
+use rangehound_node::checkpoint;
+use rangehound_node::rendezvous::{Role, RunDescription};
 use rangehound_node::system::bounded;
 use rangehound_shared::record::FusionRecord;
 use rangehound_shared::scenario::{Scenario, Source};
@@ -30,6 +31,7 @@ use crate::files::atomic_file;
 use crate::files::layout::REPORT;
 use crate::results::frame::{Frames, LoggedTick};
 pub use accumulator::{Accumulator, Background, position_covariance, position_error};
+pub(crate) use print::IN_ONE_PROCESS;
 pub use summary::{
     BearingSummary, Distrust, FoundSummary, HeadingSummary, Incident, LatencySummary, NodeSummary, RangeSummary,
     RefusalSummary, Report, SensorSummary, TraceSummary, measured, of_bearings,
@@ -57,7 +59,10 @@ pub fn from_logs(
         also(logged);
         Ok(())
     })?;
-    Ok(builder.finish(&description.scenario, nodes))
+    let report = builder.finish(&description.scenario, nodes);
+    // Nodes save their states, each in a file of its own.
+    let saves = |role| description.out_dir.join(checkpoint::file_name(role)).exists();
+    Ok(Report { in_one_process: report.ticks > 0 && !saves(Role::Sim) && !saves(Role::Fusion), ..report })
 }
 
 /// Sums up the report of a run tick by tick; `truth` is the target's true track if the run does not know it.

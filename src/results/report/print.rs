@@ -6,10 +6,13 @@ use super::{
     BearingSummary, Distrust, HeadingSummary, LatencySummary, NodeSummary, RangeSummary, RefusalSummary, Report,
     SensorSummary, TraceSummary, of_bearings,
 };
-use crate::terminal::{DOUBTFUL, TITLE, field, field_in};
+use crate::terminal::{DOUBTFUL, TITLE, counted, field, field_in};
 
 /// Share of a sensor's ranges or bearings that were not fused, above which the sensor is printed.
 const DOUBTFUL_SHARE: f64 = 0.1;
+
+/// In place of the clock's name: no clock paces such a run.
+pub(crate) const IN_ONE_PROCESS: &str = "in one process";
 
 /// Most intervals of distrust that are printed; the file has all.
 const DISTRUST_LINES_MAX: usize = 5;
@@ -18,9 +21,11 @@ impl std::fmt::Display for Report {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let Self { ranges, headings, latency_us, .. } = self;
         let Self { scenario, robots, planner, seed, .. } = self;
-        writeln!(f, "{TITLE}{scenario}{TITLE:#}: {robots} robots, {planner} planner, seed {seed}")?;
+        writeln!(f, "{TITLE}{scenario}{TITLE:#}: {}, {planner} planner, seed {seed}", counted(robots, "robot"))?;
         let Self { clock, ticks, wall_s, ticks_per_s, .. } = self;
-        writeln!(f, "{}", field(clock, format_args!("{ticks} ticks in {wall_s:.2} s ({ticks_per_s:.0} ticks/s)")))?;
+        let clock = if self.in_one_process { IN_ONE_PROCESS } else { clock };
+        let ticks = counted(ticks, "tick");
+        writeln!(f, "{}", field(clock, format_args!("{ticks} in {wall_s:.2} s ({ticks_per_s:.0} ticks/s)")))?;
         if let Some(rmse_m) = self.position_rmse_m {
             let since_found = self.found.and_then(|found| Some((found.tick, found.position_rmse_m?)));
             let since_found =
@@ -52,9 +57,17 @@ impl std::fmt::Display for Report {
         }
         for node in self.nodes.iter().filter(|node| node.starts != 1 || node.kills + node.exits > 0) {
             let NodeSummary { starts, kills, exits, hangs, .. } = node;
+<<<<<<< HEAD
             let hung = if *hangs > 0 { format!(", hung {hangs} times") } else { String::new() };
             let history = format!("{starts} starts, {kills} kills, {exits} early exits{hung}");
             writeln!(f, "{}", field_in(DOUBTFUL, &node.title(), history))?;
+=======
+            let hung = if *hangs > 0 { format!(", hung {}", counted(hangs, "time")) } else { String::new() };
+            let [starts, kills, exits] =
+                [(starts, "start"), (kills, "kill"), (exits, "early exit")].map(|(count, what)| counted(count, what));
+            let fate = format!("{starts}, {kills}, {exits}{hung}");
+            writeln!(f, "{}", field_in(DOUBTFUL, &node.title(), fate))?;
+>>>>>>> w-msg
         }
         writeln!(f, "{}", field("digest", &self.digest))?;
         write!(f, "{}", self.verdict)
@@ -103,7 +116,7 @@ impl Report {
             writeln!(f, "{}", field_in(DOUBTFUL, "sensor", text))?;
         }
         if self.gate_widened > 0 {
-            let times = format!("at {} ticks: most sensors failed it together", self.gate_widened);
+            let times = format!("at {}: most sensors failed it together", counted(self.gate_widened, "tick"));
             writeln!(f, "{}", field_in(DOUBTFUL, "gate widened", times))?;
         }
         Ok(())
@@ -130,7 +143,7 @@ impl Report {
             writeln!(f, "{}", field_in(DOUBTFUL, "distrusted", time))?;
         }
         if let Some(more) = distrusted.len().checked_sub(DISTRUST_LINES_MAX).filter(|more| *more > 0) {
-            writeln!(f, "{}", field_in(DOUBTFUL, "distrusted", format_args!("{more} times more")))?;
+            writeln!(f, "{}", field_in(DOUBTFUL, "distrusted", counted(more, "more time")))?;
         }
         Ok(())
     }

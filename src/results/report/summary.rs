@@ -22,6 +22,9 @@ pub struct Report {
     pub seed: u64,
     /// Clock: `realtime` or `lockstep`.
     pub clock: String,
+    /// True if one process made the run: then no clock paced it.
+    #[serde(skip)]
+    pub in_one_process: bool,
     /// Planner.
     pub planner: String,
     /// Robots (or sensors of a recording).

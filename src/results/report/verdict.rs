@@ -4,6 +4,7 @@ use serde::Serialize;
 
 use super::consistency::ConsistencySummary;
 use super::measured;
+use crate::statistics::Interval;
 use crate::terminal::{BAD, DOUBTFUL, GOOD, prose_in};
 
 /// Share of a sensor's ranges that are not fused, above which the sensor counts as faulty.
@@ -23,6 +24,9 @@ const WIDENED_SHARE_MAX: f64 = 0.2;
 
 /// Share of the run that a true track must cover; below it a note is added.
 const TRUTH_SHARE_MIN: f64 = 0.5;
+
+/// Most digits after the point of a figure that is near the limits of its band.
+const DIGITS_MAX: usize = 6;
 
 /// Most reasons in a verdict.
 const REASONS_MAX: usize = 2;
@@ -306,23 +310,34 @@ fn summary(evidence: &Evidence, symptoms: &Symptoms) -> String {
         .map(|count| evidence.sensors.iter().map(count).sum::<u64>());
     let measured = evidence.measured();
     let mut parts = vec![format!("{fused} of {ranges} {measured} fused")];
-    for (name, figure) in [(format!("NIS of all {measured}"), &evidence.nis_all), ("ANEES".to_owned(), &evidence.anees)]
-    {
-        if let Some(ConsistencySummary { mean, band_95, .. }) = figure {
-            let place = if *mean > band_95.high {
-                "above"
-            } else if *mean < band_95.low {
-                "below"
-            } else {
-                "in"
-            };
-            parts.push(format!("{name} {mean:.2} ({place} its band {:.2} to {:.2})", band_95.low, band_95.high));
-        }
+    let misfits = |nis: Option<ConsistencySummary>| nis.is_some_and(|nis| nis.is_overconfident());
+    // The one that decides.
+    let nis = if misfits(evidence.nis) && !misfits(evidence.nis_capped) {
+        (format!("NIS of the fused {measured}"), evidence.nis)
+    } else {
+        ("NIS with outliers capped".to_owned(), evidence.nis_capped)
+    };
+    for (name, figure) in [nis, ("ANEES".to_owned(), evidence.anees)] {
+        parts.extend(figure.map(|figure| format!("{name} {}", with_band(&figure))));
     }
     if !symptoms.nothing_fused {
         parts.push(format!("position known to {:.2} m", evidence.position_std_m));
     }
     parts.join(", ")
+}
+
+/// A figure and its place in its band, with as many digits as tell value and limits apart.
+fn with_band(figure: &ConsistencySummary) -> String {
+    let ConsistencySummary { mean, band_95: Interval { low, high }, .. } = *figure;
+    let place = match mean {
+        _ if mean > high => "above",
+        _ if mean < low => "below",
+        _ => "in",
+    };
+    let printed = |digits| [mean, low, high].map(|value| format!("{value:.digits$}"));
+    let tells_apart = |[mean, low, high]: &[String; 3]| mean != low && mean != high && low != high;
+    let [mean, low, high] = (2..=DIGITS_MAX).map(printed).find(tells_apart).unwrap_or_else(|| printed(2));
+    format!("{mean} ({place} its band {low} to {high})")
 }
 
 fn notes(evidence: &Evidence, valid: bool) -> Vec<String> {
@@ -370,7 +385,6 @@ impl std::fmt::Display for Verdict {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::statistics::Interval;
 
     fn figure(mean: f64) -> Option<ConsistencySummary> {
         let band_95 = Interval { low: 0.8, high: 1.2 };
@@ -460,7 +474,7 @@ mod tests {
     #[test]
     fn bearings_have_words_and_flags_of_their_own() {
         let cameras = Evidence { range_std_m: None, bearing_std_rad: Some(0.02), ..good() };
-        assert!(Verdict::of(&cameras).summary.contains("297 of 300 measurements fused, NIS of all measurements"));
+        assert!(Verdict::of(&cameras).summary.contains("297 of 300 measurements fused, NIS with outliers capped"));
         let misfit = Evidence { nis_all: figure(90.0), nis_capped: figure(9.0), ..cameras.clone() };
         assert!(
             reasons(&misfit).contains("3.0 times the assumed 0.02 rad")
@@ -469,6 +483,29 @@ mod tests {
         let both = Evidence { range_std_m: Some(0.1), ..misfit };
         assert!(reasons(&both).contains("(--range-std 0.30 --bearing-std 0.0600)"));
         assert!(reasons(&Evidence { position_std_m: 6.0, ..cameras }).contains("bearings hardly cross"));
+    }
+
+    #[test]
+    fn the_summary_has_the_nis_that_decides() {
+        let summary =
+            |nis, nis_capped| Verdict::of(&Evidence { nis, nis_all: figure(90.0), nis_capped, ..good() }).summary;
+        let capped = summary(figure(1.0), figure(3.0));
+        assert!(
+            capped.contains("fused, NIS with outliers capped 3.00 (above its band 0.80 to 1.20), ANEES"),
+            "{capped}"
+        );
+        let fused = summary(figure(2.5), figure(1.0));
+        assert!(fused.contains("fused, NIS of the fused ranges 2.50 (above its band 0.80 to 1.20), ANEES"), "{fused}");
+    }
+
+    #[test]
+    fn a_figure_and_its_limits_are_printed_with_as_many_digits_as_tell_them_apart() {
+        let with_band = |mean, low, high| {
+            super::with_band(&ConsistencySummary { mean, band_95: Interval { low, high }, independent_samples: 1.0 })
+        };
+        assert_eq!(with_band(1.0, 0.8, 1.25), "1.00 (in its band 0.80 to 1.25)");
+        assert_eq!(with_band(0.969, 0.971, 1.03), "0.969 (below its band 0.971 to 1.030)");
+        assert_eq!(with_band(1.0, 1.0, 1.0), "1.00 (in its band 1.00 to 1.00)");
     }
 
     #[test]

@@ -45,7 +45,7 @@ pub fn unusable(error: anyhow::Error) -> Failure {
     // The other causes end with what to do.
     let is_of_system = error.chain().any(|cause| cause.is::<std::io::Error>());
     let expected = if is_of_system { ": expected a file that can be written" } else { "" };
-    Failure::input(format!("cannot write the recording: {error:#}{expected}"))
+    Failure::input(format!("{error:#}{expected}"))
 }
 
 /// The name of an unfinished file.
@@ -56,8 +56,13 @@ pub fn partial(path: &Path) -> PathBuf {
 
 /// A recording with more ticks of the run exists already.
 #[derive(Debug, thiserror::Error)]
+<<<<<<< HEAD
 #[error("{} is kept: it holds {there} ticks of the run, and the logs have only {made} left", .path.display())]
 pub struct FewerTicks {
+=======
+#[error("{} holds {there} ticks of the run, but the logs only {made}: it is kept: move it away to record the run again", .path.display())]
+pub struct Poorer {
+>>>>>>> w-msg
     path: PathBuf,
     there: u64,
     made: u64,
@@ -144,7 +149,7 @@ impl RunFile {
         };
         out_folder::note_finished(&path, &file)
             .and_then(|()| rename(&partial, &path))
-            .with_context(|| path.display().to_string())?;
+            .with_context(|| unwritable(&path))?;
         let is_fuller = |leftover: &Path| {
             let len = |file: std::io::Result<Metadata>| file.map_or(0, |file| file.len());
             // The length alone usually shows this, without reading the file.
@@ -173,7 +178,8 @@ impl RunFile {
 /// Creates the file under its unfinished name and locks it, so that only one process writes it. An unfinished recording
 /// of the same run by a killed process is set aside; its name is returned.
 fn lock(partial: &Path, run_id: u64) -> anyhow::Result<(File, Option<PathBuf>)> {
-    let named = || partial.display().to_string();
+    let named = || unwritable(partial);
+    let path = partial.display();
     let began = Instant::now();
     loop {
         let opened = File::options().read(true).write(true).create_new(true).open(partial);
@@ -195,10 +201,7 @@ fn lock(partial: &Path, run_id: u64) -> anyhow::Result<(File, Option<PathBuf>)> 
                 continue;
             }
             Err(TryLockError::WouldBlock) => {
-                bail!(
-                    "another process is writing it, {}: wait for its end, or choose another name with --out",
-                    named()
-                );
+                bail!("another process is writing {path}: wait for its end, or choose another name with --out");
             }
             // On a file system without locks, recording works all the same.
             Ok(()) | Err(TryLockError::Error(_)) => {}
@@ -211,7 +214,7 @@ fn lock(partial: &Path, run_id: u64) -> anyhow::Result<(File, Option<PathBuf>)> 
             return Ok((file, None));
         }
         if !matches!(look(partial, run_id), Found::Same(_)) && !out_folder::is_ours(partial) {
-            bail!("{} exists already and is no recording of this run: move it away", named());
+            bail!("{path} exists already and is no recording of this run: move it away");
         }
         let aside = with_ending(partial.with_extension("").as_path(), &format!(".{}{PARTIAL}", std::process::id()));
         atomic_file::rename_to_free(partial, &aside).with_context(named)?;
@@ -220,7 +223,7 @@ fn lock(partial: &Path, run_id: u64) -> anyhow::Result<(File, Option<PathBuf>)> 
         // The new file is locked before the old lock is released.
         let locked = made.try_lock();
         if matches!(locked, Err(TryLockError::WouldBlock)) {
-            bail!("another process is writing it, {}: wait for its end", named());
+            bail!("another process is writing {path}: wait for its end");
         }
         out_folder::note_growing(partial).with_context(named)?;
         return Ok((made, Some(aside)));
@@ -248,6 +251,10 @@ fn of(error: McapError) -> anyhow::Error {
     }
 }
 
+fn unwritable(path: &Path) -> String {
+    format!("cannot write {}", path.display())
+}
+
 fn named(path: &Path, error: anyhow::Error) -> anyhow::Error {
-    error.context(path.display().to_string())
+    error.context(unwritable(path))
 }

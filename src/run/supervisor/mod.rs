@@ -137,9 +137,14 @@ impl Supervision {
 /// [`Failure`].
 pub fn resume(folder: &Path, name: Option<&RunName>, supervision: &Supervision, keep: &Keep) -> Result<(), Failure> {
     let description = folder::read_description(folder)?;
+    folder::look_for_states(&description)?;
     let name = match name {
         Some(name) => name.clone(),
-        None => description.scenario.name.parse().map_err(|error| Failure::input(format!("--name: {error}")))?,
+        None => description
+            .scenario
+            .name
+            .parse()
+            .map_err(|error| Failure::input(format!("name is {:?}: {error}", description.scenario.name)))?,
     };
     // Robots that were on other hosts wait there, at the address where they had a link.
     let hosts_before = folder::read_hosts(folder)?;

@@ -73,6 +73,8 @@ struct Node {
     summary: NodeSummary,
     /// How its last process ended.
     last_end: String,
+    /// True if its process led when it was last seen alive.
+    leads: bool,
 }
 
 struct Running {
@@ -176,7 +178,15 @@ impl<'a> Nodes<'a> {
     /// Reports each process's newest heartbeat to the machine.
     fn listen(&mut self) {
         let Self { rendezvous, nodes, machine, .. } = self;
-        machine.look(&rendezvous.description().scenario, |index| nodes[index].see(rendezvous.roster()));
+        machine.look(&rendezvous.description().scenario, |index| {
+            let seen = nodes[index].see(rendezvous.roster());
+            // One that has ended just now may have a successor already.
+            let node = &mut nodes[index];
+            if node.can_lead() && node.is_running() {
+                node.leads = seen.leads;
+            }
+            seen
+        });
     }
 
     /// Reports nodes that have ended to the machine. If the run's shared memory was removed, that is why they ended,
@@ -215,7 +225,10 @@ impl<'a> Nodes<'a> {
                     }
                 }
                 Action::Kill { node, silence } => self.nodes[node].kill_as_hung(silence),
-                Action::ReportRestart(index) => log::warn!("{}; it is started again", self.nodes[index].last_end),
+                Action::ReportRestart(index) => {
+                    let successor = self.successor_of(index).unwrap_or_default();
+                    log::warn!("{}{successor}; it is started again", self.nodes[index].last_end);
+                }
                 Action::ReportLoss(index) => log::warn!("{}; the others go on without it", self.nodes[index].last_end),
                 Action::EndRun { node, is_own } => {
                     let nodes = self.pids();
@@ -234,6 +247,18 @@ impl<'a> Nodes<'a> {
             self.rendezvous.remove_half_made();
         }
         Ok(None)
+    }
+
+    /// What becomes of the lead of a node that has ended, as far as it is known.
+    fn successor_of(&mut self, index: usize) -> Option<&'static str> {
+        let has_led = std::mem::take(&mut self.nodes[index].leads);
+        let mut others = self.nodes.iter().filter(|node| node.can_lead() && node.running.is_some()).peekable();
+        if !has_led || others.peek().is_none() {
+            return None;
+        }
+        let leader = self.rendezvous.roster().holder(Role::Fusion);
+        let leads = others.any(|node| node.running.as_ref().map(Running::pid) == leader);
+        Some(if leads { "; a standby leads now" } else { "; a standby takes over" })
     }
 
     /// Kills all nodes at once, and waits until they are gone: only then may others go on from their checkpoints.
@@ -310,7 +335,12 @@ impl Running {
 impl Node {
     fn new(role: Role, scenario: &Scenario, has_standbys: bool) -> Self {
         let summary = NodeSummary::new(role, scenario, 0);
-        Self { role, has_standbys, gateway: None, running: None, summary, last_end: String::new() }
+        Self { role, has_standbys, gateway: None, running: None, summary, last_end: String::new(), leads: false }
+    }
+
+    /// Any of these may lead, whatever role it was started with.
+    fn can_lead(&self) -> bool {
+        matches!(self.role, Role::Fusion | Role::Standby(_))
     }
 
     fn log_path(&self, rendezvous: &Rendezvous) -> std::path::PathBuf {
@@ -351,8 +381,7 @@ impl Node {
         let heartbeat =
             |role| roster.heartbeat_of(role).filter(|(signer, _)| Some(*signer) == pid).map(|(_, heartbeat)| heartbeat);
         match self.role {
-            // Any of these may lead, whatever role it was started with.
-            Role::Fusion | Role::Standby(_) => {
+            _ if self.can_lead() => {
                 let lead = heartbeat(Role::Fusion);
                 let standing_by = || (1..=STANDBYS_MAX).filter_map(|number| heartbeat(Role::Standby(number))).max();
                 Seen { leads: lead.is_some(), heartbeat: lead.or_else(standing_by) }

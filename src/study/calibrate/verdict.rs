@@ -197,7 +197,10 @@ pub(super) fn judge(problem: &Problem, fits: &[Fit]) -> (Findings, Option<Fit>) 
     }
     findings.accel_psd = Some(fit.accel_psd(time).scaled(correlated));
     if findings.sensors.iter().all(|errors| errors.bias_m.is_none() && errors.scale.is_none()) {
-        findings.undetermined.push("bias and scale: the ranges show none".to_owned());
+        findings.undetermined.push(
+            "bias and scale: the ranges fit as well without them; longer recordings, more sensors or --truth may tell"
+                .to_owned(),
+        );
     }
     (findings, Some(fit.clone()))
 }

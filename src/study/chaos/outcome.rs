@@ -12,7 +12,7 @@ use crate::files::layout::CHAOS;
 use crate::results::report::{HeadingSummary, RangeSummary};
 use crate::statistics::Ascending;
 use crate::study::hosts::link::Conditions;
-use crate::terminal::{BAD, GOOD, TITLE, field};
+use crate::terminal::{BAD, GOOD, TITLE, counted, field};
 
 /// The outcome of a campaign; its fields are the keys of `chaos.json`.
 #[derive(Debug, Clone, Default, Serialize)]
@@ -355,9 +355,13 @@ impl std::fmt::Display for Outcome {
         let done = self.faults_done();
         let wall_s: f64 = self.rounds.iter().map(|round| round.wall_s).sum();
         let asked = self.faults_asked;
-        writeln!(f, "{TITLE}chaos{TITLE:#}: {scenario}, {robots} robots, {done} of {asked} faults, seed {chaos_seed}")?;
-        let runs = self.rounds.len();
-        writeln!(f, "{}", field(clock, format_args!("{ticks} ticks in {runs} runs, {wall_s:.1} s")))?;
+        writeln!(
+            f,
+            "{TITLE}chaos{TITLE:#}: {scenario}, {}, {done} of {asked} faults, seed {chaos_seed}",
+            counted(robots, "robot")
+        )?;
+        let runs = counted(self.rounds.len(), "run");
+        writeln!(f, "{}", field(clock, format_args!("{ticks} ticks in {runs}, {wall_s:.1} s")))?;
         if let Some(network) = &self.network {
             writeln!(f, "{}", field("network", format_args!("{} hosts, {network}", self.hosts)))?;
         }

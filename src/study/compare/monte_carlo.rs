@@ -9,7 +9,6 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
-use anyhow::Context;
 use nalgebra::Vector2;
 use rangehound_fusion::planner::PlannerError;
 use rangehound_shared::scenario::{EXACT, OWN, Scenario, ScenarioError, ScenarioFile};
@@ -242,9 +241,9 @@ impl Trials {
         let mut indexed = std::thread::scope(|scope| {
             let start = |_| std::thread::Builder::new().spawn_scoped(scope, || self.work(&next, &done));
             let workers: std::io::Result<Vec<_>> = (0..self.threads).map(start).collect();
-            let workers = workers
-                .inspect_err(|_| next.store(NONE_LEFT, Ordering::Relaxed))
-                .with_context(|| format!("cannot start {} threads: choose fewer with --threads", self.threads))?;
+            let workers = workers.inspect_err(|_| next.store(NONE_LEFT, Ordering::Relaxed)).map_err(|error| {
+                anyhow::anyhow!("cannot start {} threads: {error}: choose fewer with --threads", self.threads)
+            })?;
             while workers.iter().any(|worker| !worker.is_finished()) {
                 on_progress(done.load(Ordering::Relaxed)).inspect_err(|_| next.store(NONE_LEFT, Ordering::Relaxed))?;
                 std::thread::sleep(PROGRESS_INTERVAL);

@@ -154,7 +154,7 @@ fn draw_consistency(comparison: &Comparison, area: &Area<'_>) -> Drawn {
     let Interval { low, high } = *anees_bounds;
     let times_s = times_s(comparison);
     let anees = OverTime {
-        label: format!("ANEES to {ANEES_MOST}; grey: 95 % if consistent ({low:.2} to {high:.2})"),
+        label: format!("ANEES, cut at {ANEES_MOST}; grey: 95 % band of a consistent filter, {low:.2} to {high:.2}"),
         bands: vec![Band {
             name: None,
             colour: BLACK.mix(0.2),

@@ -8,7 +8,7 @@ use serde::Serialize;
 use super::monte_carlo::{Sample, Trial};
 use super::planning_time::Scaling;
 use crate::statistics::{Ascending, Interval, Percentiles, chi_square_mean_bounds, mean, wilson_interval};
-use crate::terminal::TITLE;
+use crate::terminal::{TITLE, counted};
 
 /// A run has diverged if its mean position error over this many last ticks is above
 /// [`DIVERGED_ERROR_M`].
@@ -252,9 +252,10 @@ impl Display for Comparison {
             sigma => format!("{stand_off_m} m or {sigma} sigma"),
         };
         let last_seed = seed.wrapping_add(runs.saturating_sub(1));
-        writeln!(f, "{TITLE}{scenario}{TITLE:#}: {robots} robots, stand-off {stand_off}, {ticks} ticks")?;
+        writeln!(f, "{TITLE}{scenario}{TITLE:#}: {}, stand-off {stand_off}, {ticks} ticks", counted(robots, "robot"))?;
         let wall_s = self.wall_s;
-        writeln!(f, "{runs} runs of each planner, seeds {seed} to {last_seed}, in {wall_s:.1} s")?;
+        let seeds = if *runs == 1 { format!("seed {seed}") } else { format!("seeds {seed} to {last_seed}") };
+        writeln!(f, "{} for each row, {seeds}, in {wall_s:.1} s", counted(runs, "run"))?;
         writeln!(f)?;
         let of = |name: &str| self.planning_time.iter().find(|scaling| scaling.name == name);
         let names = self.planners.iter().map(|planner| planner.name.chars().count()).max().unwrap_or(0).max(10);
@@ -288,8 +289,8 @@ consistent filters have an ANEES from {low:.2} to {high:.2}. Diverged: over {DIV
 in the mean of the last {DIVERGED_TICKS} ticks. Trace above optimum: against the least trace
 that the certified lower bound of the same step allows. Plan above optimum:
 {gap_meaning}.
-Over M: the power law of the time to plan from M = 10 to 1000, or as many as are
-served in time."
+Over M: the power law of the time to plan, over teams of M = 10 to 1000 robots;
+larger teams are left out once a planner takes too long."
         )
     }
 }

@@ -41,6 +41,7 @@ use rangehound_shared::scenario::{Clock, Scenario, ScenarioFile};
 use crate::failure::{self, Failure};
 use crate::run::in_process;
 use crate::run::watch::Progress;
+use crate::terminal::counted;
 use cluster::{Cluster, Counts, Outcome, Violation};
 use links::Links;
 use plan::{Equipment, LocalClock, Network, Plan};
@@ -101,8 +102,10 @@ impl Total {
         let Self { began, first, seeds, counts: Counts { node_ticks, faults, successions } } = self;
         let per_second = *node_ticks as f64 / began.elapsed().as_secs_f64();
         format!(
-            "explored {seeds} seeds from {first}: {node_ticks} node-ticks ({per_second:.0} a second), {faults} faults, \
-             {successions} successions, {violations}\n"
+            "explored {} from {first}: {node_ticks} node-ticks ({per_second:.0} a second), {}, {}, {violations}\n",
+            counted(seeds, "seed"),
+            counted(faults, "fault"),
+            counted(successions, "succession"),
         )
     }
 }
@@ -191,12 +194,14 @@ impl Stage {
         let Plan { seed, clock, robots, standbys, ticks, network, links, .. } = &fewest;
         let links = links.as_ref().map(|links| format!("{links:?}\n")).unwrap_or_default();
         failure::print(format!(
-            "seed {seed}: {robots} robots, {standbys} standbys, {ticks} ticks, {clock:?}, {network:?}\n{links}{faults}\
-             repeat it: rangehound explore --seed {seed} --seeds 1\n"
+            "seed {seed}: {}, {}, {ticks} ticks, {clock:?}, {network:?}\n{links}{faults}\
+             repeat it: rangehound explore --seed {seed} --seeds 1\n",
+            counted(robots, "robot"),
+            counted(standbys, "standby"),
         ))?;
         let at_ms = shrunk.at_ns as f64 / 1e6;
         Ok(Failure::Running(anyhow::anyhow!(
-            "seed {seed}: {} at {at_ms:.3} ms: {}",
+            "{} breaks a promise at {at_ms:.3} ms of seed {seed}: {}",
             shrunk.node.map_or_else(|| "run".to_owned(), |node| fewest.name_of(node)),
             shrunk.what
         )))

@@ -35,18 +35,20 @@ impl Network {
         remove_those_of_dead_processes();
         let network = Self { hosts, memory };
         ip(&format!("netns add {}", middle()))
-            .context("hosts on this machine are network namespaces, which need root")?;
+            .map_err(|error| anyhow!("cannot make network namespaces (--hosts): {error:#}: run as root"))?;
         // Packets between hosts pass through the middle.
-        let forward = network_of(&middle()).args(["sh", "-c", "echo 1 > /proc/sys/net/ipv4/ip_forward"]).status();
-        if !forward.as_ref().is_ok_and(std::process::ExitStatus::success) {
-            bail!("cannot set up the network between hosts: nsenter: {forward:?}");
+        let forward = network_of(&middle()).args(["sh", "-c", "echo 1 > /proc/sys/net/ipv4/ip_forward"]).output();
+        match forward {
+            Ok(output) if output.status.success() => {}
+            Ok(output) => bail!("cannot set up the network between hosts: {}", first_line(&output.stderr)),
+            Err(error) => bail!("cannot start nsenter: {error}: install util-linux"),
         }
         (0..hosts).try_for_each(|host| network.connect(host))?;
         let clocks = network.command(hosts - 1, Path::new("true")).output();
         match clocks {
             Ok(output) if output.status.success() => Ok(network),
             Ok(output) => Err(anyhow!("cannot give a host its own clock: {}", first_line(&output.stderr))),
-            Err(error) => Err(anyhow!("cannot start a program on a host: {error}")),
+            Err(error) => Err(anyhow!("cannot start nsenter: {error}: install util-linux")),
         }
     }
 
@@ -57,7 +59,7 @@ impl Network {
     pub(super) fn connect(&self, host: usize) -> anyhow::Result<()> {
         let (name, middle) = (name(host), middle());
         let memory = self.memory(host);
-        std::fs::create_dir_all(&memory).with_context(|| memory.display().to_string())?;
+        std::fs::create_dir_all(&memory).with_context(|| format!("cannot make the folder {}", memory.display()))?;
         let (own, gateway) = (address(host), next_hop(host));
         ip(&format!("netns add {name}"))?;
         ip(&format!("-n {middle} link add host{host} type veth peer name net netns {name}"))?;
@@ -145,7 +147,8 @@ fn network_of(namespace: &str) -> Command {
 
 /// Carries out a command of `ip`, split at spaces.
 fn ip(args: &str) -> anyhow::Result<()> {
-    let output = Command::new("ip").args(args.split(' ')).stdin(Stdio::null()).output().context("ip (iproute2)")?;
+    let output = Command::new("ip").args(args.split(' ')).stdin(Stdio::null()).output();
+    let output = output.map_err(|error| anyhow!("cannot start ip: {error}: install iproute2"))?;
     if output.status.success() {
         return Ok(());
     }

@@ -14,7 +14,7 @@ use crate::results::percentiles::{self, Point};
 use crate::results::report::LatencySummary;
 use crate::run::pin::Pin;
 use crate::statistics::{Ascending, Percentiles, Samples};
-use crate::terminal::{TITLE, wrapped};
+use crate::terminal::{TITLE, counted, wrapped};
 
 /// A measured system.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -230,12 +230,12 @@ impl Outcome {
 impl std::fmt::Display for Outcome {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let Self { scenario, robots, planner, clock, ticks, warm_up_ticks, pin, .. } = self;
-        let rate = self.rate_hz.map_or(String::new(), |rate_hz| format!(" at {rate_hz:.4} Hz"));
+        let rate = self.rate_hz.map_or(String::new(), |rate_hz| format!(" at {} Hz", (rate_hz * 1e4).round() / 1e4));
         let hosts = if self.hosts > 1 { format!(" on {} hosts", self.hosts) } else { String::new() };
-        let what = format!("{robots} robots{hosts}, {planner} planner, {clock}{rate}, pin {pin}");
+        let what = format!("{}{hosts}, {planner} planner, {clock}{rate}, pin {pin}", counted(robots, "robot"));
         writeln!(f, "{TITLE}latency{TITLE:#}: {scenario}, {}", wrapped(&what, 11 + scenario.len()))?;
-        let rounds = self.rounds.len();
-        writeln!(f, "  {rounds} rounds of {ticks} ticks, of which the first {warm_up_ticks} are not counted")?;
+        let rounds = counted(self.rounds.len(), "round");
+        writeln!(f, "  {rounds} of {ticks} ticks, of which the first {warm_up_ticks} are not counted")?;
         let [p50, p90, p99, p99_9, max] = ["p50", "p90", "p99", "p99.9", "max"];
         writeln!(
             f,

@@ -45,6 +45,6 @@ fn draw_on(outcome: &Outcome, area: &Area<'_>) -> Drawn {
     let curves: Vec<(&[Point], RGBColor)> = curves.collect();
     let samples = latency_us().map(|(_, latency_us)| latency_us.count).max();
     percentiles::draw_curves(&upper, &curves, samples.unwrap_or(0))?;
-    let label = "hops of the system, µs: median, and pale up to 99 %";
+    let label = "hops of the system, µs: median (dark) and 99th percentile (pale)";
     percentiles::draw_hops(&lower, &outcome.hops_us, colour(Contender::System), label)
 }

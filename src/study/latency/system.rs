@@ -109,8 +109,9 @@ pub(super) fn hops_us(description: &RunDescription) -> anyhow::Result<HopSummary
         hops_us: HopSummary,
     }
     let path = description.out_dir.join(REPORT);
-    let text = std::fs::read_to_string(&path).with_context(|| path.display().to_string())?;
-    Ok(serde_json::from_str::<Reported>(&text).with_context(|| path.display().to_string())?.hops_us)
+    let unreadable = || format!("cannot read {}", path.display());
+    let text = std::fs::read_to_string(&path).with_context(unreadable)?;
+    Ok(serde_json::from_str::<Reported>(&text).with_context(unreadable)?.hops_us)
 }
 
 /// The stamps of a robot's record.

@@ -20,6 +20,7 @@ use crate::failure::{self, Failure};
 use crate::files::input::COMMAND_LINE;
 use crate::results::run_mcap::read::{FrameReader, Missing, ReadError};
 use crate::run::watch::Progress;
+use crate::terminal::counted;
 use differences::{Comparison, Differences};
 use steps::{Difference, Fed, StepError, Steps};
 
@@ -148,7 +149,8 @@ pub fn replay(path: &Path, changes: &Changes, show: Option<Show>, json: bool) ->
     }
     match (&outcome.first_difference, outcome.ticks_missing) {
         (Some(difference), _) => Err(Failure::Running(anyhow::anyhow!(
-            "the replay differs from the recording from tick {} on",
+            "the replay of {} differs from the recording from tick {} on: replay it with the build that recorded it",
+            path.display(),
             difference.tick
         ))),
         (None, Some(missing)) => {
@@ -253,7 +255,7 @@ fn feed(
 impl std::fmt::Display for Outcome {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let Self { file, scenario, robots, clock, seed, ticks, ticks_of_run, run_s, wall_s, digest, .. } = self;
-        writeln!(f, "{file}: {scenario}, {robots} robots, {clock}, seed {seed}")?;
+        writeln!(f, "{file}: {scenario}, {}, {clock}, seed {seed}", counted(robots, "robot"))?;
         let of_run = if ticks < ticks_of_run { format!(" of {ticks_of_run}") } else { String::new() };
         let speed = run_s / wall_s.max(1e-9);
         writeln!(
