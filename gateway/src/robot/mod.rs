@@ -246,17 +246,11 @@ impl<E: FnMut(&Scenario) -> Option<Equipment>> Driver<E> {
             format!("robot {} is not in this run: expected 0 to {}", self.id, scenario.robots.len() - 1)
         })?;
         let equipment = equipment.or_else(|| (self.equipment)(scenario));
-<<<<<<< HEAD
-        let equipment = equipment.ok_or_else(|| format!("its driver has no equipment for robot {}", self.id))?;
-        let robot_end = RobotEnd::new(*run_id, scenario.clock);
-        self.part = Some(Part { of, machine, robot_end, equipment, is_moving: false, has_reported_frame: false });
-=======
         let equipment = equipment.ok_or_else(|| {
             format!("its driver has no equipment for robot {}: expected the id of a robot that it has", self.id)
         })?;
-        let courier = Courier::new(*run_id, scenario.clock);
-        self.part = Some(Part { of, machine, courier, equipment, is_moving: false, has_reported_frame: false });
->>>>>>> w-msg
+        let robot_end = RobotEnd::new(*run_id, scenario.clock);
+        self.part = Some(Part { of, machine, robot_end, equipment, is_moving: false, has_reported_frame: false });
         self.has_joined = true;
         Ok(())
     }

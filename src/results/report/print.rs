@@ -57,17 +57,11 @@ impl std::fmt::Display for Report {
         }
         for node in self.nodes.iter().filter(|node| node.starts != 1 || node.kills + node.exits > 0) {
             let NodeSummary { starts, kills, exits, hangs, .. } = node;
-<<<<<<< HEAD
-            let hung = if *hangs > 0 { format!(", hung {hangs} times") } else { String::new() };
-            let history = format!("{starts} starts, {kills} kills, {exits} early exits{hung}");
-            writeln!(f, "{}", field_in(DOUBTFUL, &node.title(), history))?;
-=======
             let hung = if *hangs > 0 { format!(", hung {}", counted(hangs, "time")) } else { String::new() };
             let [starts, kills, exits] =
                 [(starts, "start"), (kills, "kill"), (exits, "early exit")].map(|(count, what)| counted(count, what));
-            let fate = format!("{starts}, {kills}, {exits}{hung}");
-            writeln!(f, "{}", field_in(DOUBTFUL, &node.title(), fate))?;
->>>>>>> w-msg
+            let history = format!("{starts}, {kills}, {exits}{hung}");
+            writeln!(f, "{}", field_in(DOUBTFUL, &node.title(), history))?;
         }
         writeln!(f, "{}", field("digest", &self.digest))?;
         write!(f, "{}", self.verdict)

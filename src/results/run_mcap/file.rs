@@ -56,13 +56,8 @@ pub fn partial(path: &Path) -> PathBuf {
 
 /// A recording with more ticks of the run exists already.
 #[derive(Debug, thiserror::Error)]
-<<<<<<< HEAD
-#[error("{} is kept: it holds {there} ticks of the run, and the logs have only {made} left", .path.display())]
-pub struct FewerTicks {
-=======
 #[error("{} holds {there} ticks of the run, but the logs only {made}: it is kept: move it away to record the run again", .path.display())]
-pub struct Poorer {
->>>>>>> w-msg
+pub struct FewerTicks {
     path: PathBuf,
     there: u64,
     made: u64,
