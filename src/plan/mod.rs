@@ -13,6 +13,7 @@ use std::path::Path;
 use rangehound_shared::scenario::{PlannerTable, defaults};
 
 use crate::failure::{self, Failure};
+use crate::run::experiment::Flag;
 use line::LineSolver;
 
 /// Longest accepted line, bytes: some 300 000 robots.
@@ -21,12 +22,13 @@ const LINE_BYTES_MAX: usize = 16 << 20;
 /// Bytes read or written at once.
 const CHUNK_BYTES: usize = 1 << 16;
 
-/// `rangehound plan`: answers the lines of a file, or of standard input.
+/// `rangehound plan`: answers the lines of a file, or of standard input. `flags` are the keys of the table that flags set.
 ///
 /// # Errors
 /// [`Failure`].
-pub fn plan(table: PlannerTable, seed: Option<u64>, file: Option<&Path>) -> Result<(), Failure> {
-    let mut solver = LineSolver::new(table, seed.unwrap_or(defaults::SEED)).map_err(Failure::input)?;
+pub fn plan(table: PlannerTable, flags: &[Flag], seed: Option<u64>, file: Option<&Path>) -> Result<(), Failure> {
+    let solver = LineSolver::new(table, seed.unwrap_or(defaults::SEED));
+    let mut solver = solver.map_err(|error| Failure::input(error.by_flag(flags)))?;
     let (name, input): (String, Box<dyn Read>) = match file {
         Some(path) if path != Path::new("-") => {
             let name = path.display().to_string();

@@ -96,7 +96,16 @@ impl PlanArgs {
             blocks: self.blocks,
             ..PlannerTable::default()
         };
-        plan::plan(table, self.seed, self.file.as_deref())
+        let flags = [
+            ("planner.name", "--planner"),
+            ("planner.nodes", "--nodes"),
+            ("planner.iterations", "--iterations"),
+            ("planner.alpha", "--alpha"),
+            ("planner.step_rad", "--step-rad"),
+            ("planner.steps", "--steps"),
+            ("planner.blocks", "--blocks"),
+        ];
+        plan::plan(table, &flags, self.seed, self.file.as_deref())
     }
 }
 
