@@ -11,7 +11,7 @@ use smallvec::SmallVec;
 
 use super::information::Information;
 use super::leaf::Leaf;
-use super::noise::Noise;
+use super::noise::{Noise, is_in_view};
 use super::piece::Piece;
 use crate::planner::TeamMember;
 use crate::planner::range_only::reach::{Reach, Room};
@@ -260,11 +260,6 @@ fn cell(to_target_m: Vector, corners_m: &[Vector], s: f64) -> Pieces {
 /// Replaces each piece by parts of it.
 fn restrict(pieces: &mut Pieces, parts: impl Fn(&Piece) -> Pieces) {
     *pieces = pieces.iter().flat_map(&parts).collect();
-}
-
-/// True if the target is within half the field of view after this way.
-pub(super) fn is_in_view(way_m: Vector, sight_m: Vector, half_rad: f64) -> bool {
-    way_m.cross(sight_m).abs().atan2(way_m.dot(sight_m)) <= half_rad
 }
 
 /// The parts of a piece from which the target is within half the field of view, which is centred on the way there.

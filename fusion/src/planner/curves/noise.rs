@@ -5,7 +5,6 @@ use std::f64::consts::PI;
 use nalgebra::Matrix2;
 use rangehound_shared::scenario::SensorSpec;
 
-use super::curve::is_in_view;
 use super::information::Information;
 use crate::planner::TeamMember;
 use crate::vector::Vector;
@@ -146,4 +145,9 @@ impl Noise {
         let bearing = self.bearing_rad2.map_or(0.0, |rad2| 1.0 / (squared_m2 * rad2 + across_m2));
         (range, bearing)
     }
+}
+
+/// True if the target is within half the field of view after this way.
+pub(super) fn is_in_view(way_m: Vector, sight_m: Vector, half_rad: f64) -> bool {
+    way_m.cross(sight_m).abs().atan2(way_m.dot(sight_m)) <= half_rad
 }
