@@ -302,21 +302,25 @@ def ros_process(*words):
 def node():
     """The node that shows the run. It ends with it."""
     process = ros_process("-m", "rangehound.ros2", "--name", NAME)
-    yield process
-    process.communicate()
-    for file in pathlib.Path("/dev/shm").glob("lttng-ust-wait-*"):
-        file.unlink(missing_ok=True)
+    try:
+        yield process
+        process.communicate()
+    finally:
+        process.kill()
+        for file in pathlib.Path("/dev/shm").glob("lttng-ust-wait-*"):
+            file.unlink(missing_ok=True)
 
 
 @contextlib.contextmanager
 def ears():
     """A subscriber, which knows ROS alone."""
     process = ros_process(ROOT / "python/tests/ros2_listener.py", "/target/pose=geometry_msgs/PoseWithCovarianceStamped")
-    assert process.stdout.readline() == "ready\n"
-    yield process
-    if process.poll() is None:
-        process.terminate()
-        process.communicate()
+    try:
+        assert process.stdout.readline() == "ready\n"
+        yield process
+    finally:
+        process.kill()
+        process.wait()
 
 
 def importing():
