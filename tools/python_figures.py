@@ -165,7 +165,7 @@ OBSERVER = """
 import json, resource, sys, time
 held_ns, began_s = [], time.monotonic()
 for tick in rh.attach(sys.argv[1]):
-    held_ns.append(time.monotonic_ns() - int(tick.sent_ns))
+    held_ns.append(time.clock_gettime_ns(time.CLOCK_BOOTTIME) - int(tick.sent_ns))
 used = resource.getrusage(resource.RUSAGE_SELF)
 print(json.dumps([held_ns[50:], (used.ru_utime + used.ru_stime) / (time.monotonic() - began_s)]))
 """

@@ -64,7 +64,7 @@ pub enum CheckpointError {
         reason: SealError,
     },
     /// The state is larger than a slot.
-    #[error("cannot write {}: a state of {len} bytes, expected at most {}", .file.display(), SLOT_LEN - LEN_BYTES)]
+    #[error("cannot write {}: a state of {len} bytes: expected at most {}: please report this", .file.display(), SLOT_LEN - LEN_BYTES)]
     TooLarge {
         /// The file.
         file: PathBuf,

@@ -335,6 +335,6 @@ pub(crate) fn load<'py>(
         Ok((history, report.finish(&description.scenario, read_nodes(&folder)?)))
     };
     let (history, report) = py.detach(read).map_err(failed)?;
-    let scenario = Scenario::of_run(py, &folder);
+    let scenario = Scenario::of_run(py, &folder)?;
     Ok((scenario, history.into_dict(py)?, serde_json::to_string(&report).map_err(failed)?))
 }

@@ -11,7 +11,7 @@ use rangehound_fusion::planner;
 use rangehound_shared::scenario::{self as shared, ScenarioFile, Source};
 use serde_json::Value;
 
-use crate::errors::{failed, input, interruptible};
+use crate::errors::{InputError, failed, input, interruptible};
 
 /// Stands in errors for the name of a file.
 const NAMELESS: &str = "the scenario";
@@ -38,8 +38,12 @@ impl Scenario {
     }
 
     /// The scenario of a run folder, if its file is there and can be used again.
-    pub(crate) fn of_run(py: Python<'_>, folder: &Path) -> Option<Self> {
-        Self::of(py, Given::read(Some(&folder.join(SCENARIO))).ok()?, None).ok()
+    pub(crate) fn of_run(py: Python<'_>, folder: &Path) -> PyResult<Option<Self>> {
+        let Ok(given) = Given::read(Some(&folder.join(SCENARIO))) else { return Ok(None) };
+        match Self::of(py, given, None) {
+            Err(error) if error.is_instance_of::<InputError>(py) => Ok(None),
+            scenario => scenario.map(Some),
+        }
     }
 
     /// The scenario that is run: with another seed and length, if they are given.

@@ -173,12 +173,13 @@ def test_a_robot_that_was_refused_can_be_run_again_in_the_same_process(by_hand, 
 
 
 def test_a_killed_python_robot_is_replaced_and_changes_no_bit(by_hand, name, tmp_path):
-    keys = dict(ticks=8000, clock="lockstep", timeout_s="forever", planner="greedy")
+    keys = dict(ticks=20_000, clock="lockstep", timeout_s="forever", planner="greedy")
     script = "rh.Robot(name, 2).run()\nprint('ended')"
     started = by_hand(["sim"], ["fusion"], *robots(0, 1), scripts=[script], **keys)
+    reached = 0
     for _ in range(10):
-        for tick in rh.attach(name):
-            break
+        # The robot takes part: without it there is no further tick.
+        reached = next(tick.tick for tick in rh.attach(name) if tick.tick > reached + 5)
         started[-1].kill()
         started[-1].communicate()
         by_hand(scripts=[script], **keys)

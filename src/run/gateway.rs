@@ -49,6 +49,9 @@ pub fn check(listen: SocketAddr, keys: Option<&Path>) -> Result<SocketAddr, Fail
     Err(Failure::input(text.trim().trim_start_matches("rangehound: ").to_owned()))
 }
 
+/// Advice about a program that cannot be started.
+const INSTALL: &str = "install the rangehound-gateway of this version";
+
 /// The transports that the program can measure for `latency`: the names of the transports that it was built with.
 ///
 /// # Errors
@@ -61,9 +64,10 @@ pub fn latency_transports() -> Result<Vec<String>, Failure> {
             Ok(String::from_utf8_lossy(&output.stdout).lines().map(str::to_owned).collect())
         }
         Ok(output) => {
-            Err(anyhow::anyhow!("{} does not say what it can measure: {}", program.display(), output.status).into())
+            let (program, status) = (program.display(), output.status);
+            Err(anyhow::anyhow!("{program} cannot list what it measures: {status}: {INSTALL}").into())
         }
-        Err(error) => Err(anyhow::anyhow!("cannot start {}: {error}", program.display()).into()),
+        Err(error) => Err(anyhow::anyhow!("cannot start {}: {error}: {INSTALL}", program.display()).into()),
     }
 }
 
@@ -74,7 +78,7 @@ pub fn latency_transports() -> Result<Vec<String>, Failure> {
 pub fn hand_over(args: impl IntoIterator<Item = OsString>) -> Result<(), Failure> {
     let program = program()?;
     let error = Command::new(&program).arg0("rangehound").args(args).exec();
-    Err(Failure::Running(anyhow::anyhow!("cannot start {}: {error}", program.display())))
+    Err(Failure::Running(anyhow::anyhow!("cannot start {}: {error}: {INSTALL}", program.display())))
 }
 
 /// The link of a robot that takes part in a run from another host.

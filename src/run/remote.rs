@@ -111,8 +111,8 @@ pub fn restart(name: Option<&RunName>, node: Role, json: bool) -> Result<(), Fai
         }
         if began.elapsed() > REQUEST_TIMEOUT {
             return Err(Failure::Running(anyhow!(
-                "{node} of run {} was asked to end and is not started again: --restart of its run may forbid it; on another host \
-                 its service manager starts it",
+                "no new process of {node} of run {} has started: check --restart of the run, or on another host its service \
+                 manager",
                 run.name()
             )));
         }

@@ -61,7 +61,7 @@ fn ended_or_killed_it_leaves_nothing() {
         let ended = measured.finish();
         if signal == Signal::INT {
             assert_eq!(ended.code, Some(1), "{ended:#?}");
-            assert_eq!(ended.complaints(), ["rangehound: asked to end before the last round"]);
+            assert_eq!(ended.complaints(), ["rangehound: interrupted before the last round: start `latency` again"]);
         }
         run.assert_nothing_left();
     }
@@ -77,7 +77,7 @@ fn invalid_values_are_refused_before_anything_starts() {
         ("latency --robots 0", "--robots is 0: expected a whole number from 1 to 1024"),
         ("latency --ticks 100000000", "--ticks is 100000000: expected at most"),
         ("latency --pin all", "expected none, one-core, or processors by number"),
-        ("latency --pin 1000", "--pin 1000: expected processors that exist"),
+        ("latency --pin 1000", "--pin 1000: Invalid argument (os error 22): expected processors that exist"),
     ] {
         assert_refused_at_once(words, expected);
     }

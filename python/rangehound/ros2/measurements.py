@@ -42,7 +42,7 @@ def range_of(range_m: float, min_m: float, max_m: float, variance_m2: float, std
     if not min_m <= range_m <= max_m:
         raise Refused(f"the range is outside of min_range {min_m:g} to max_range {max_m:g} m")
     if not (math.isfinite(variance_m2) and variance_m2 >= 0.0):
-        raise Refused("the variance is no variance")
+        raise Refused(f"the variance is {variance_m2:g}: expected a finite number of at least 0")
     return range_m, math.sqrt(variance_m2) if variance_m2 > 0.0 else std_m
 
 
@@ -62,7 +62,7 @@ def yaw_of(x: float, y: float, z: float, w: float) -> float:
     """The yaw of a rotation, rad. Raises `Refused` if it is no unit quaternion."""
     norm = math.sqrt(x * x + y * y + z * z + w * w)
     if not 0.99 < norm < 1.01:
-        raise Refused("the orientation is no unit quaternion")
+        raise Refused("the orientation has a length other than 1: expected a unit quaternion")
     return math.atan2(2 * (w * z + x * y), w * w + x * x - y * y - z * z)
 
 
@@ -82,7 +82,7 @@ def odometry_of(
     values = (xx_m2, xy_m2, yy_m2, yaw_rad2)
     is_covariance = min(xx_m2, yy_m2, yaw_rad2) >= 0.0 and xy_m2 * xy_m2 <= xx_m2 * yy_m2 * (1 + 1e-9)
     if not all(map(math.isfinite, values)) or not is_covariance:
-        raise Refused("the covariance of the pose is no covariance")
+        raise Refused("the covariance of the pose is not positive semidefinite or not finite")
     # An angle of which nothing is known has a standard deviation of less than pi.
     yaw_std_rad = min(math.sqrt(yaw_rad2), math.pi)
     moved = [value if math.isfinite(value) else 0.0 for value in velocity]

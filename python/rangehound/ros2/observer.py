@@ -183,7 +183,8 @@ class Node:
         self._topics = [self._target, *self._poses, *self._twists.values(), *(topic for topic in optional if topic is not None)]
         self._is_heard, self._looked_s = False, -math.inf
         self._newest: Tick | None = None
-        self._rejected = 0
+        #: Of all ticks, and those of them that a status has named: each thread writes one of them.
+        self._rejected, self._rejected_named = 0, 0
         # By the steady clock: ticks may cease.
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         session.node.create_timer(DIAGNOSTICS_S, self._look, clock=steady)
@@ -337,7 +338,8 @@ class Node:
         if tick is None:
             yield diagnostic(types, "rangehound: estimate", 1, "no estimate yet", {})
             return
-        rejected, self._rejected = self._rejected, 0
+        rejected = self._rejected - self._rejected_named
+        self._rejected_named += rejected
         level, name, message, pairs = _native.ros_status(
             tick=int(tick.tick), ticks=status["ticks"], fused=int(tick.fused), missing=int(tick.missing), rejected=rejected,
             silent=np.flatnonzero(np.isnan(tick.believed_m).any(axis=1)).tolist(),

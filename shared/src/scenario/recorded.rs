@@ -110,8 +110,8 @@ impl RecordingTable {
                 "given".to_owned(),
             ));
         }
-        if let Some(rate_hz) = self.rate_hz.filter(|rate_hz| !(1e-3..=1e6).contains(rate_hz)) {
-            return Err(refuse("rate_hz", "a number from 0.001 to 1000000".to_owned(), rate_hz.to_string()));
+        if let Some(rate_hz) = self.rate_hz.filter(|rate_hz| !(1e-3..=1e5).contains(rate_hz)) {
+            return Err(refuse("rate_hz", "a number from 0.001 to 100000".to_owned(), rate_hz.to_string()));
         }
         Ok(ReadOptions {
             strict: self.strict.unwrap_or(false),

@@ -58,7 +58,12 @@ pub(super) fn run_to_the_end(
         let what = format!("shared memory of run {} was removed from outside ({})", rendezvous.name(), path.display());
         removals_in_a_row = if past.newest_tick.is_some() { 0 } else { removals_in_a_row + 1 };
         if removals_in_a_row >= REMOVALS_MAX {
-            return Ok((past.summaries, Err(anyhow!("{what}, again and again before a tick was over"))));
+            return Ok((
+                past.summaries,
+                Err(anyhow!(
+                    "{what} {REMOVALS_MAX} times before a tick ended: find what removes it, then `rangehound resume`"
+                )),
+            ));
         }
         log::warn!(
             "{what}, as systemd does at a user's last logout with RemoveIPC=yes; the run goes on from its checkpoints"

@@ -90,7 +90,7 @@ pub fn latency(mut experiment: Experiment, wanted: &Wanted, out: Option<&Path>, 
             measured.map_err(|failure| {
                 progress.finish();
                 // After a requested end, errors of the measured processes do not matter.
-                let asked = || anyhow::anyhow!("asked to end before the last round").into();
+                let asked = || anyhow::anyhow!("interrupted before the last round: start `latency` again").into();
                 if termination.requested() { asked() } else { failure }
             })?;
         }

@@ -167,7 +167,7 @@ fn wide_columns<R: Read>(
     let is_chosen = wide::pattern(columns).is_some();
     let Some(anchors) = anchors else {
         if is_chosen {
-            return Err(table.header_error("a column for each anchor", "expected --anchors FILE with their places"));
+            return Err(table.header_error("no places of the anchors", "expected --anchors FILE with them"));
         }
         return Ok(Vec::new());
     };
@@ -180,7 +180,7 @@ fn wide_columns<R: Read>(
     let found = wide::anchor_columns(finder, table, anchors, columns)?;
     if is_chosen && found.is_empty() {
         let names = listed(anchors.iter().map(|(name, _)| name.as_str()));
-        let wrong = format!("no column of the anchors {names}");
+        let wrong = format!("no column has the name of an anchor ({names})");
         return Err(table.header_error(wrong, format!("expected one among the columns {}", table.listed_columns())));
     }
     Ok(found)
