@@ -12,12 +12,21 @@ use super::page::{Block, Page, root};
 use super::{assert_none, pages};
 use crate::support::{Outcome, PROGRAM, Run, skipped};
 
-/// The reasons that a page may give for a command that the test cannot run.
+/// The reason of a block with one command, which the test ends with this signal after some time.
+const ENDS_WITH_CTRL_C: &str = "ends only with Ctrl-C";
+
+/// The reason of a block that reads such a file; the test makes one.
+const NEEDS_A_CUT_FILE: &str = "needs a file that a kill has cut short";
+
+/// The reason of blocks that call Cargo. Those that only run examples are run with the examples beside the program.
+const BUILDS: &str = "builds the program";
+
+/// The reasons that a page may give for a command that the test cannot run as it stands.
 const REASONS: [&str; 12] = [
-    "builds the program",
-    "ends only with Ctrl-C",
+    BUILDS,
+    ENDS_WITH_CTRL_C,
     "needs a browser",
-    "needs a file that a kill has cut short",
+    NEEDS_A_CUT_FILE,
     "needs a ROS bag",
     "needs a serial port",
     "needs another machine",
@@ -48,6 +57,11 @@ mkdir temporary
 export TMPDIR=$PWD/temporary
 pids=()
 started() { pids+=("$1"); }
+cargo() {
+    local example
+    while [ $# -gt 0 ] && [ "$1" != -- ]; do [ "$1" != --example ] || example=$2; shift; done
+    "$PROGRAMS/examples/$example" "${@:2}"
+}
 wait() { local each=("${pids[@]}") pid; pids=(); for pid in "${each[@]}"; do builtin wait "$pid"; done; }
 "#;
 
@@ -69,12 +83,13 @@ fn the_commands_of_the_book_do_what_it_says() {
 /// The failure of a page's commands, if any.
 fn fault(page: &Page) -> Option<String> {
     let mut script = String::new();
-    for block in page.commands().filter(|block| block.not_run.is_none()) {
+    for block in page.commands() {
+        let Some(typed) = typed(&block) else { continue };
         let place = page.at(block.line);
         if lacks_a_program(&block) {
             skipped(&place, "a program that it uses is not installed");
         } else {
-            script += &format!("echo '== {place}' >&2\n{}", typed(&block));
+            script += &format!("echo '== {place}' >&2\n{typed}");
         }
     }
     if script.is_empty() {
@@ -85,7 +100,7 @@ fn fault(page: &Page) -> Option<String> {
         std::os::unix::fs::symlink(root().join(name), folder.path(name)).unwrap();
     }
     let programs = Path::new(PROGRAM).parent().unwrap().display();
-    folder.write("typed.sh", format!("export PATH='{programs}':$PATH\n{BEFORE}{script}{AFTER}"));
+    folder.write("typed.sh", format!("PROGRAMS='{programs}'\nexport PATH=$PROGRAMS:$PATH\n{BEFORE}{script}{AFTER}"));
     // All processes that the commands start end with the namespace.
     let mut args = vec!["--mount", "--pid", "--fork", "--kill-child", "--mount-proc"];
     if !rustix::process::getuid().is_root() {
@@ -106,12 +121,32 @@ fn lacks_a_program(block: &Block) -> bool {
         .any(|program| Command::new(program).arg("--version").output().is_err())
 }
 
-/// The block as the shell gets it: background jobs are recorded, Python blocks go to Python.
-fn typed(block: &Block) -> String {
-    if block.language == "python" {
-        return format!("python3 - <<'PYTHON'\n{}PYTHON\n", block.text);
+/// The block as the shell gets it, if it can be run: background jobs are recorded, Python blocks go to Python.
+fn typed(block: &Block) -> Option<String> {
+    let Block { text, language, not_run, .. } = block;
+    match not_run.as_deref() {
+        None if language == "python" => Some(format!("python3 - <<'PYTHON'\n{text}PYTHON\n")),
+        None => Some(text.replace(" &\n", " & started $!\n").replace(" & ", " & started $!; ")),
+        Some(ENDS_WITH_CTRL_C) => Some(format!("timeout --preserve-status --signal=INT 2 {text}")),
+        Some(NEEDS_A_CUT_FILE) => Some(format!("{CUT}{text}")),
+        Some(BUILDS) => runs_examples_only(text).then(|| text.clone()),
+        Some(_) => None,
     }
-    block.text.replace(" &\n", " & started $!\n").replace(" & ", " & started $!; ")
+}
+
+/// Leaves of the page's recording what a kill does.
+const CUT: &str = r"head -c 400000 runs/recorded/run.mcap > runs/recorded/run.mcap.partial
+rm runs/recorded/run.mcap
+";
+
+/// True if all that Cargo is called for are examples that need nothing but the program.
+fn runs_examples_only(script: &str) -> bool {
+    let this = std::env::current_exe().unwrap();
+    let examples = this.ancestors().nth(2).unwrap().join("examples");
+    commands(script).filter(|words| words[0] == "cargo").all(|words| {
+        let example = words.iter().skip_while(|word| *word != "--example").nth(1);
+        example.is_some_and(|name| examples.join(name).exists() && !script.contains("mkfifo"))
+    })
 }
 
 #[test]
