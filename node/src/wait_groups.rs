@@ -38,11 +38,11 @@ struct Words {
     answers: AtomicU64,
 }
 
-const _: () = assert!(size_of::<Words>() == 64 && align_of::<Words>() == 64 && size_of::<Board>() == 3 * 64);
+const _: () = assert!(size_of::<Words>() == 64 && align_of::<Words>() == 64 && size_of::<SharedWaitGroups>() == 3 * 64);
 
 /// How long a process spins for an event, if other cores may be about to send it: a few times the cost of sleeping and
 /// being woken from another core, because the rest of the team has to be woken too.
-const WATCH_NS: u64 = 200_000;
+const POLL_NS: u64 = 200_000;
 
 /// A process that yields for longer than this, and [`TURN_NS`] for each robot, has not yielded to its team alone: another
 /// program uses this processor. The kernel then gives the processor back at once only to a process that it wakes from sleep.
@@ -58,7 +58,7 @@ const WAITS_AFTER_LONG_TURN: u32 = 250;
 #[derive(Debug, Default, ZeroCopySend)]
 #[repr(C)]
 #[type_name("rangehound.WaitGroups.v2")]
-struct Board {
+struct SharedWaitGroups {
     sim: Words,
     fusion: Words,
     robots: Words,
@@ -66,14 +66,14 @@ struct Board {
 
 /// One process's view of the run's wait groups.
 #[derive(Debug, Clone)]
-pub(crate) struct WaitGroups(Rc<Block<Board>>);
+pub(crate) struct WaitGroups(Rc<Block<SharedWaitGroups>>);
 
 /// Creates the wait groups of the run with this shared-memory prefix. Call before any process can join it.
 ///
 /// # Errors
 /// [`BlockError`] if the system refuses.
 pub(crate) fn create(prefix: &str) -> Result<(), BlockError> {
-    Block::create(prefix, NAME, Board::default)
+    Block::create(prefix, NAME, SharedWaitGroups::default)
 }
 
 impl WaitGroups {
@@ -82,11 +82,11 @@ impl WaitGroups {
     }
 
     fn words(&self, group: WaitGroup) -> &Words {
-        let board: &Board = &self.0;
+        let groups: &SharedWaitGroups = &self.0;
         match group {
-            WaitGroup::Sim => &board.sim,
-            WaitGroup::Fusion => &board.fusion,
-            WaitGroup::Robots => &board.robots,
+            WaitGroup::Sim => &groups.sim,
+            WaitGroup::Fusion => &groups.fusion,
+            WaitGroup::Robots => &groups.robots,
         }
     }
 }
@@ -133,7 +133,7 @@ impl Waiter {
         Self {
             wait_groups,
             group,
-            spin: if has_cores { Spin::Time(WATCH_NS) } else { Spin::on_one_core(group) },
+            spin: if has_cores { Spin::Time(POLL_NS) } else { Spin::on_one_core(group) },
             long_turn_ns: LONG_TURN_NS + TURN_NS * robots as u64,
             asleep_at_once: Cell::default(),
             heard: Cell::default(),

@@ -19,7 +19,7 @@ impl ExperimentArgs {
     /// [`Failure::Input`] if the file cannot be read or contradicts the flags.
     pub(super) fn given(&self) -> Result<Given, Failure> {
         let mut given = Given::read(self.scenario.as_deref())?;
-        self.put_over(&mut given.file)?;
+        self.override_with(&mut given.file)?;
         given.flags = typed([
             ("robots.count", "--robots", self.robots.is_some()),
             ("planner.name", "--planner", self.planner.is_some()),
@@ -39,7 +39,7 @@ impl ExperimentArgs {
     }
 
     /// Overrides the file's values by the command line's.
-    pub(super) fn put_over(&self, file: &mut ScenarioFile) -> Result<(), Failure> {
+    pub(super) fn override_with(&self, file: &mut ScenarioFile) -> Result<(), Failure> {
         if self.robots.is_some() {
             if file.robot.is_some() || file.recording.is_some() {
                 return Err(Failure::input(

@@ -217,7 +217,7 @@ fn refuse_other_experiment(args: &ExperimentArgs, asked: &Experiment, living: &R
     for (flag, alone) in one_by_one(args) {
         // The run's own scenario, overridden by this one flag.
         let with_flag = input::scenario_file(&own_file).and_then(|mut file| {
-            alone.put_over(&mut file)?;
+            alone.override_with(&mut file)?;
             input::scenario(&file, &own_file.display().to_string(), &living.out_dir).map_err(Failure::input)
         });
         if with_flag.is_ok_and(|with_flag| scenario(&with_flag) == scenario(&living.scenario)) {

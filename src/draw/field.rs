@@ -103,9 +103,9 @@ impl Paths {
         self.truths_m.iter().flatten().chain(self.robots_m.iter().flatten()).chain(believed)
     }
 
-    /// Size of a picture of this width by [`Self::draw_whole`], px.
+    /// Size of a picture of this width by [`Self::draw_complete`], px.
     #[must_use]
-    pub fn whole_size(&self, width: u32) -> (u32, u32) {
+    pub fn complete_size(&self, width: u32) -> (u32, u32) {
         (width, width + chart::key_height(width, &key(&self.names)))
     }
 
@@ -113,7 +113,7 @@ impl Paths {
     ///
     /// # Errors
     /// The backend's.
-    pub fn draw_whole(&self, area: &Area<'_>) -> Drawn {
+    pub fn draw_complete(&self, area: &Area<'_>) -> Drawn {
         let below = chart::draw_key(area, &key(&self.names))?;
         self.draw(&below, Square::around(self.estimates_m.iter().chain(self.bodies())), None)
     }

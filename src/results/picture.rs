@@ -23,10 +23,10 @@ pub fn draw(curves: &Curves, out_dir: &Path) -> anyhow::Result<()> {
     if !curves.has_length() {
         return Ok(());
     }
-    let (width, height) = curves.paths.whole_size(FIELD);
+    let (width, height) = curves.paths.complete_size(FIELD);
     chart::draw_to_file(&out_dir.join(PICTURE), (width + GRAPH, height), |area| {
         let (field, graph) = area.split_horizontally(width);
-        curves.paths.draw_whole(&field)?;
+        curves.paths.draw_complete(&field)?;
         draw_errors(curves, &graph)
     })
 }

@@ -15,7 +15,7 @@ pub trait Fields: Sized {
     fn number(&mut self, name: &str, value: &mut f64);
 
     /// Consecutive integers.
-    fn wholes(&mut self, name: &str, values: &mut [u64]) {
+    fn integers(&mut self, name: &str, values: &mut [u64]) {
         values.iter_mut().for_each(|value| self.whole(name, value));
     }
 
@@ -132,7 +132,7 @@ impl Fields for Describe {
         self.add(&format!(r#"["{name}","<f8"]"#));
     }
 
-    fn wholes(&mut self, name: &str, values: &mut [u64]) {
+    fn integers(&mut self, name: &str, values: &mut [u64]) {
         self.add(&format!(r#"["{name}","<u8",[{}]]"#, values.len()));
     }
 

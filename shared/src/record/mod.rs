@@ -187,10 +187,10 @@ impl Record for FusionRecord {
         fields.whole("late", &mut estimate.late);
         fields.whole("fused_late", &mut estimate.fused_late);
         fields.whole("rejected_late", &mut estimate.rejected_late);
-        fields.wholes("refused", &mut estimate.refused);
+        fields.integers("refused", &mut estimate.refused);
         let [ranges, bearings] = &mut estimate.distrusted;
-        fields.wholes("distrusted_bits", ranges);
-        fields.wholes("distrusted_bearing_bits", bearings);
+        fields.integers("distrusted_bits", ranges);
+        fields.integers("distrusted_bearing_bits", bearings);
         fields.number("objective", &mut estimate.objective);
         fields.number("lower_bound", &mut estimate.lower_bound);
         fields.number("least_trace_m2", &mut estimate.least_trace_m2);
@@ -200,7 +200,7 @@ impl Record for FusionRecord {
         fields.whole("planned_ns", &mut stages.planned_ns);
         fields.whole("saved_ns", &mut stages.saved_ns);
         fields.whole("sent_ns", &mut stages.sent_ns);
-        fields.wholes("digest", &mut estimate.digest);
+        fields.integers("digest", &mut estimate.digest);
         let n = (estimate.state_dim as usize).min(STATE_DIM_MAX);
         fields.numbers("state", &mut estimate.state[..n]);
         fields.numbers("covariance", &mut estimate.covariance[..n * n]);

@@ -74,9 +74,9 @@ pub(super) async fn guard(State(shared): State<Arc<Shared>>, request: Request, n
 }
 
 /// A viewer: the token is in the address.
-pub(super) struct MayLook(pub(super) Arc<Shared>);
+pub(super) struct ViewPermission(pub(super) Arc<Shared>);
 
-impl FromRequestParts<Arc<Shared>> for MayLook {
+impl FromRequestParts<Arc<Shared>> for ViewPermission {
     type Rejection = Refusal;
 
     async fn from_request_parts(parts: &mut Parts, shared: &Arc<Shared>) -> Result<Self, Refusal> {
@@ -87,9 +87,9 @@ impl FromRequestParts<Arc<Shared>> for MayLook {
 }
 
 /// A client that may act: the token is in a header.
-pub(super) struct MayAct(pub(super) Arc<Shared>);
+pub(super) struct ActPermission(pub(super) Arc<Shared>);
 
-impl FromRequestParts<Arc<Shared>> for MayAct {
+impl FromRequestParts<Arc<Shared>> for ActPermission {
     type Rejection = Refusal;
 
     async fn from_request_parts(parts: &mut Parts, shared: &Arc<Shared>) -> Result<Self, Refusal> {

@@ -20,7 +20,7 @@ use axum::routing::{get, post};
 use serde::Deserialize;
 
 use super::assets;
-use super::guard::{self, MayAct, MayLook, refuse};
+use super::guard::{self, ActPermission, ViewPermission, refuse};
 use super::shared::Shared;
 use super::stream;
 use crate::live::act::{Action, Refused};
@@ -40,7 +40,7 @@ pub(super) fn router(shared: &Arc<Shared>) -> Router {
         .with_state(Arc::clone(shared))
 }
 
-async fn page(MayLook(shared): MayLook) -> Html<String> {
+async fn page(ViewPermission(shared): ViewPermission) -> Html<String> {
     Html(assets::PAGE.replace("{token}", &shared.token.to_string()))
 }
 
@@ -67,7 +67,7 @@ struct Asked {
     node: String,
 }
 
-async fn act(MayAct(shared): MayAct, Path(Asked { action, node }): Path<Asked>) -> (StatusCode, String) {
+async fn act(ActPermission(shared): ActPermission, Path(Asked { action, node }): Path<Asked>) -> (StatusCode, String) {
     let Some(action) = Action::from_name(&action) else {
         return (StatusCode::BAD_REQUEST, "Unknown action: expected kill, stop, continue or restart.".to_owned());
     };

@@ -17,7 +17,7 @@ use futures_util::stream::unfold;
 use tokio::sync::watch;
 use tokio::time::{Instant, sleep_until, timeout};
 
-use super::guard::MayLook;
+use super::guard::ViewPermission;
 use super::shared::Shared;
 use crate::live::scene::Seen;
 
@@ -76,7 +76,7 @@ impl Life {
 }
 
 /// Opens a stream, unless there are too many viewers.
-pub(super) async fn open(MayLook(shared): MayLook, Extension(life): Extension<Arc<Life>>) -> Response {
+pub(super) async fn open(ViewPermission(shared): ViewPermission, Extension(life): Extension<Arc<Life>>) -> Response {
     let Some(place) = Place::take(&shared) else {
         return (StatusCode::SERVICE_UNAVAILABLE, "Too many viewers: close another page of this run.").into_response();
     };

@@ -40,8 +40,8 @@ fn section(heading: &'static str, text: impl Into<String>, picture: String) -> S
 }
 
 fn paths(curves: &Curves) -> anyhow::Result<Section> {
-    let size = curves.paths.whole_size(WIDTH);
-    let picture = chart::draw_to_string(size, |area| curves.paths.draw_whole(area))?;
+    let size = curves.paths.complete_size(WIDTH);
+    let picture = chart::draw_to_string(size, |area| curves.paths.draw_complete(area))?;
     let mut text =
         "The field from above, with 3 sigma ellipses of the estimate. Marks show the last positions.".to_owned();
     let beliefs = || curves.paths.beliefs.iter().flatten();

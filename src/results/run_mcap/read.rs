@@ -12,7 +12,7 @@ use serde::Serialize;
 
 use super::PROFILE;
 use super::messages::{OnTopic, TOPICS};
-use super::topics::{Gathering, Senseless};
+use super::topics::{Gathering, InvalidTick};
 use crate::files::layout::{DESCRIPTION, SCENARIO};
 use crate::files::records::{Fields, read};
 use crate::files::zstd::ZstdDecoder;
@@ -58,7 +58,7 @@ pub enum ReadError {
     Description(#[from] SealError),
     /// The messages do not form a tick of a run.
     #[error(transparent)]
-    Senseless(#[from] Senseless),
+    InvalidTick(#[from] InvalidTick),
     /// A tick is out of order.
     #[error("tick {tick} comes after tick {after}: expected ticks in order")]
     Disordered {
@@ -278,7 +278,7 @@ impl Run {
     fn hear(&mut self, channel: u16, data: &[u8]) -> Result<Option<Frame>, ReadError> {
         let Some((_, topic)) = self.channels.iter().find(|(id, _)| *id == channel) else { return Ok(None) };
         let description = self.description.as_ref().ok_or(ReadError::Foreign)?;
-        let damaged = Senseless::Message { tick: self.last.map_or(0, |last| last + 1), topic: TOPICS[*topic] };
+        let damaged = InvalidTick::Message { tick: self.last.map_or(0, |last| last + 1), topic: TOPICS[*topic] };
         if data.len() > MESSAGE_LEN_MAX {
             return Err(damaged.into());
         }
@@ -296,7 +296,7 @@ impl Run {
                     whole = Some(frame);
                 }
                 // The other messages of the tick were in a missing chunk.
-                Err(Senseless::Lacking { .. }) => self.skipped += 1,
+                Err(InvalidTick::MissingTopic { .. }) => self.skipped += 1,
                 Err(error) => return Err(error.into()),
             }
         }
@@ -309,7 +309,7 @@ impl Run {
         self.is_over = true;
         let Some((tick, gathering)) = self.gathering.take() else { return Ok(None) };
         match gathering.into_frame() {
-            Err(Senseless::Lacking { .. }) if self.counted.is_some() => Ok(None),
+            Err(InvalidTick::MissingTopic { .. }) if self.counted.is_some() => Ok(None),
             framed => {
                 (self.last, self.count) = (Some(tick), self.count + 1);
                 Ok(Some(framed?))

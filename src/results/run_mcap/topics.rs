@@ -141,7 +141,7 @@ fn estimate_message(tick: u64, time_s: f64, estimate: &EstimateOfFusion) -> Esti
 
 /// Why messages do not form a tick of a run.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-pub enum Senseless {
+pub enum InvalidTick {
     /// A message's bytes or numbers are invalid.
     #[error("a message on {topic} is invalid in tick {tick}")]
     Message {
@@ -152,7 +152,7 @@ pub enum Senseless {
     },
     /// A message is missing.
     #[error("no message on {topic} in tick {tick}")]
-    Lacking {
+    MissingTopic {
         /// The tick.
         tick: u64,
         /// Its topic.
@@ -198,9 +198,9 @@ impl Gathering {
     ///
     /// # Errors
     /// If it is not valid in such a run.
-    pub fn take(&mut self, message: OnTopic) -> Result<(), Senseless> {
+    pub fn take(&mut self, message: OnTopic) -> Result<(), InvalidTick> {
         let topic = TOPICS[message.topic()];
-        self.admit(message).ok_or(Senseless::Message { tick: self.tick, topic })
+        self.admit(message).ok_or(InvalidTick::Message { tick: self.tick, topic })
     }
 
     fn admit(&mut self, message: OnTopic) -> Option<()> {
@@ -268,16 +268,16 @@ impl Gathering {
     ///
     /// # Errors
     /// Names the missing topic.
-    pub fn into_frame(self) -> Result<Frame, Senseless> {
+    pub fn into_frame(self) -> Result<Frame, InvalidTick> {
         let Self { tick, has_truth, world, estimate, exchanges, driven, truth, has_headings, .. } = self;
-        let lacking = |topic| Senseless::Lacking { tick, topic };
+        let missing = |topic| InvalidTick::MissingTopic { tick, topic };
         if !has_headings {
-            return Err(lacking("/heading"));
+            return Err(missing("/heading"));
         }
         if has_truth && truth.is_empty() {
-            return Err(lacking("/truth"));
+            return Err(missing("/truth"));
         }
-        let mut world = world.ok_or(lacking("/world"))?;
+        let mut world = world.ok_or(missing("/world"))?;
         world.truth = truth;
         for (robot, drive) in world.robots.iter_mut().zip(driven) {
             let Some(drive) = drive else { continue };
@@ -291,7 +291,7 @@ impl Gathering {
             robot.robot_host_ns = drive.robot_host_ns;
             robot.gateway_ns = drive.gateway_ns;
         }
-        let (time_s, estimate) = estimate.ok_or(lacking("/estimate"))?;
+        let (time_s, estimate) = estimate.ok_or(missing("/estimate"))?;
         Ok(Frame { tick, fusion: FusionRecord { time_s, estimate, exchanges }, world })
     }
 }

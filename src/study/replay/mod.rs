@@ -111,7 +111,7 @@ pub fn replay(path: &Path, changes: &Changes, show: Option<Show>, json: bool) ->
             )),
             None => refuse(&"it has no tick: record the run again"),
         },
-        Stopped::Stepping(error @ StepError::Senseless { .. }) => refuse(&error),
+        Stopped::Stepping(error @ StepError::InvalidTick { .. }) => refuse(&error),
         // Missing ticks are a difference; divergence after changed settings is a result too.
         Stopped::Stepping(error) => Failure::Running(anyhow::Error::new(error).context(path.display().to_string())),
         Stopped::Comparing(error) => Failure::Running(error),

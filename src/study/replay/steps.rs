@@ -23,7 +23,7 @@ pub enum StepError {
     #[error(
         "a range of robot {robot} cannot have been taken at tick {taken_at}, in tick {tick}: the file is not a valid recording"
     )]
-    Senseless {
+    InvalidTick {
         /// Tick of the range.
         tick: u64,
         /// The robot.
@@ -91,7 +91,7 @@ impl Steps {
                 late.entry(taken_at).or_default().push((header, range));
                 fed.late += u64::from(measurement.kinds != 0);
             } else {
-                return Err(StepError::Senseless { tick, robot, taken_at });
+                return Err(StepError::InvalidTick { tick, robot, taken_at });
             }
         }
         leader.end_tick();
