@@ -85,6 +85,7 @@ def main(argv: Sequence[str]) -> None:
                 if args.from_start and count % _AT_ONCE == 0:
                     session.wait_until_taken(_TAKEN_S)
                 team.check()
+                node.rest()
             team.wait()
         team.check()
 
@@ -245,6 +246,13 @@ class Node:
             topic, markers = self._markers
             topic.publisher.publish(markers.fill(tick, stamp))
             self._marked_s = now_s
+
+    def rest(self) -> None:
+        """Sleeps until the next look for subscribers, if there is none: waking at each tick would cost the run's processes their caches."""
+        tick = self._newest
+        # After the sleep its ticks come at once, and the first of them are old.
+        if not self._is_heard and tick is not None and now_ns() - int(tick.sent_ns) < 0.5e9 * _LOOK_S:
+            time.sleep(_LOOK_S)
 
     def _stamp(self, tick: Tick) -> Any:
         if self._is_simulated_time:
