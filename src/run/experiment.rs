@@ -145,10 +145,7 @@ impl Experiment {
         in_utf8("--out", &folder.map_err(|error| Failure::input(format!("--out: {error}")))?)?;
         let (name, numbered) = match (name, naming) {
             (Some(name), _) => (name.clone(), None),
-            (None, Naming::Exact) => {
-                let name = &scenario.name;
-                (name.parse().map_err(|error| Failure::input(format!("name is {name:?}: {error}")))?, None)
-            }
+            (None, Naming::Exact) => (name_of(&scenario)?, None),
             (None, Naming::Numbered) => {
                 let wanted = scenario.name.clone();
                 let (name, folder) = free_name(&wanted, out.is_some())?;
@@ -229,6 +226,12 @@ impl Given {
             },
         })
     }
+}
+
+/// The name of a run that is named as its scenario is.
+pub(crate) fn name_of(scenario: &Scenario) -> Result<RunName, Failure> {
+    let name = &scenario.name;
+    name.parse().map_err(|error| Failure::input(format!("name is {name:?}: {error}")))
 }
 
 /// The scenario's name, or the first of name-2, name-3, ... that no living run has and (unless the folder

@@ -25,7 +25,7 @@ use serde::{Deserialize, Serialize};
 use crate::failure::Failure;
 use crate::files::out_folder::{self, Claim};
 use crate::results::made::{self, Keep};
-use crate::run::experiment::Experiment;
+use crate::run::experiment::{Experiment, name_of};
 use crate::run::external::External;
 use crate::run::folder;
 use crate::run::gateway;
@@ -140,11 +140,7 @@ pub fn resume(folder: &Path, name: Option<&RunName>, supervision: &Supervision, 
     folder::look_for_states(&description)?;
     let name = match name {
         Some(name) => name.clone(),
-        None => description
-            .scenario
-            .name
-            .parse()
-            .map_err(|error| Failure::input(format!("name is {:?}: {error}", description.scenario.name)))?,
+        None => name_of(&description.scenario)?,
     };
     // Robots that were on other hosts wait there, at the address where they had a link.
     let hosts_before = folder::read_hosts(folder)?;

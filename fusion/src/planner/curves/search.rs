@@ -156,11 +156,10 @@ impl Memory {
 
     /// Ends a search. The memory of a large one is not kept.
     fn close_all(&mut self) {
+        let mut left = std::mem::take(&mut self.open);
+        left.drain().for_each(|node| self.close(node));
+        self.open = left;
         let Self { open, closed, spare, .. } = self;
-        for mut node in open.drain() {
-            spare.append(&mut node.vertices);
-            closed.push(node);
-        }
         closed.truncate(KEPT_MAX);
         spare.truncate(VERTICES * KEPT_MAX);
         open.shrink_to(KEPT_MAX);
