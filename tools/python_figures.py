@@ -251,6 +251,19 @@ def ros_messages():
     return float(lost), f"messages lost of {ticks - found_by + 1}, M = 10, 100 Hz", 0.0
 
 
+def ros_inbound():
+    """Messages that the node lacks of ten real robots, of a process that sends each odometry and each range once, at 100 Hz."""
+    count, robots = 1000, range(10)
+    topics = [f"qos_overrides./robot_{i}/{topic}.subscription" for i in robots for topic in ("odom", "range")]
+    overrides = [word for topic in topics for each in ("reliability:=reliable", f"depth:={count}") for word in ("-p", f"{topic}.{each}")]
+    with folder() as path, sender(count, robots) as sends, ros_run(path, 100_000, external=list(robots)) as run:
+        with node("--robots", "all", "--ros-args", *overrides):
+            values = json.loads(sends.communicate(timeout=300)[0].splitlines()[-1]).values()
+            run.stop()
+    received = [int(each[f"{what} received"]) for each in values for what in ("odometry", "ranges")]
+    return float(2 * len(robots) * count - sum(received)), f"messages lost of {2 * len(robots)} times {count} from real robots, M = 10, 100 Hz", 0.0
+
+
 def ros_loop():
     """How much longer the loop takes with the node attached. In one run the node is stopped and continued, in turns."""
     alone_percent = longer_percent(contextlib.nullcontext())
@@ -284,11 +297,11 @@ def clock_s():
     return time.clock_gettime(time.CLOCK_BOOTTIME)
 
 
-def ros_run(path, ticks):
+def ros_run(path, ticks, **more):
     """A run with ten robots and 100 Hz."""
     import rclpy  # noqa: F401
 
-    return rh.run(name=NAME, out=path / "out", dt_s=0.01, ticks=ticks, robots={"count": 10}, clock="realtime", planner="certified")
+    return rh.run(name=NAME, out=path / "out", dt_s=0.01, ticks=ticks, robots={"count": 10}, clock="realtime", planner="certified", **more)
 
 
 def ros_process(*words):
@@ -299,9 +312,9 @@ def ros_process(*words):
 
 
 @contextlib.contextmanager
-def node():
+def node(*args):
     """The node that shows the run. It ends with it."""
-    process = ros_process("-m", "rangehound.ros2", "--name", NAME)
+    process = ros_process("-m", "rangehound.ros2", "--name", NAME, *args)
     try:
         yield process
         process.communicate()
@@ -311,10 +324,20 @@ def node():
             file.unlink(missing_ok=True)
 
 
-@contextlib.contextmanager
 def ears():
-    """A subscriber, which knows ROS alone."""
-    process = ros_process(ROOT / "python/tests/ros2_listener.py", "/target/pose=geometry_msgs/PoseWithCovarianceStamped")
+    """A subscriber."""
+    return ros_only("ros2_listener.py", "/target/pose=geometry_msgs/PoseWithCovarianceStamped")
+
+
+def sender(count, robots):
+    """Real robots, which send so many messages each."""
+    return ros_only("ros2_sender.py", count, 0.01, *robots)
+
+
+@contextlib.contextmanager
+def ros_only(script, *args):
+    """A process that knows ROS alone."""
+    process = ros_process(ROOT / "python/tests" / script, *map(str, args))
     try:
         assert process.stdout.readline() == "ready\n"
         yield process
@@ -332,7 +355,7 @@ def importing():
     return import_s("rangehound") * 1e3, f"ms, of which numpy {import_s('numpy') * 1e3:.0f}", 150.0
 
 
-FIGURES = [plan, simulate, empty_planner, stone_soup, importing, observer_delay, observer_share, killed_observers, fresh_headings, ros_messages, ros_loop]
+FIGURES = [plan, simulate, empty_planner, stone_soup, importing, observer_delay, observer_share, killed_observers, fresh_headings, ros_messages, ros_inbound, ros_loop]
 
 
 def main():

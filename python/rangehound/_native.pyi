@@ -58,7 +58,7 @@ class Scenario:
 
 @final
 class Plan:
-    """The headings of one step, and what they are worth."""
+    """The headings of one step, and the objective that they reach."""
 
     @property
     def planner(self) -> str: ...
@@ -127,8 +127,10 @@ class Situation:
         """Standard deviation of each robot's bearing, (M,), rad; NaN without bearings."""
     def plan(self, planner: str = "certified", *, seed: int | None = None) -> Plan:
         """The plan of a built-in planner for this situation."""
+    def evaluate(self, headings_rad: ArrayLike, speeds_mps: ArrayLike | None = None) -> tuple[float, float, float]:
+        """Evaluates headings (M,), rad, and speeds (M,), m/s: objective, position trace, m^2, gap to the optimum."""
     def worth(self, headings_rad: ArrayLike, speeds_mps: ArrayLike | None = None) -> tuple[float, float, float]:
-        """The worth of headings (M,), rad, and speeds (M,), m/s: objective, position trace, m^2, gap to the optimum."""
+        """The same as `evaluate`: its former name."""
 
 class Filter:
     def __new__(cls, scenario: Scenario) -> Self: ...

@@ -1,5 +1,6 @@
 //! Exceptions: the one line that the program would print.
 
+use std::path::PathBuf;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
@@ -8,6 +9,7 @@ use pyo3::exceptions::{PyRuntimeError, PyValueError};
 use pyo3::prelude::*;
 use rangehound::failure::{Failure, one_short_line, with_causes};
 use rangehound::files::bytes_read::BytesRead;
+use rangehound::results::report::Truth;
 
 create_exception!(
     rangehound,
@@ -38,11 +40,11 @@ pub(crate) fn failed(failure: impl Into<Failure>) -> PyErr {
 const POLL_INTERVAL: Duration = Duration::from_millis(5);
 
 /// Reads in a thread, so that Python can act on signals meanwhile, and show `progress`, a function of the bytes that have been read and of
-/// all. After a signal, or an exception of `progress`, nobody waits for the thread. Data that cannot be read are invalid input.
-pub(crate) fn interruptible<T: Send + 'static, E: ToString + Send + 'static>(
+/// all. After a signal, or an exception of `progress`, nobody waits for the thread.
+pub(crate) fn interruptible<T: Send + 'static>(
     py: Python<'_>,
     progress: Option<&Py<PyAny>>,
-    work: impl FnOnce(&BytesRead) -> Result<T, E> + Send + 'static,
+    work: impl FnOnce(&BytesRead) -> PyResult<T> + Send + 'static,
 ) -> PyResult<T> {
     let bytes = BytesRead::default();
     let of_work = bytes.clone();
@@ -65,13 +67,18 @@ pub(crate) fn interruptible<T: Send + 'static, E: ToString + Send + 'static>(
         show()?;
     }
     let read = worker.join().map_err(|_| failed(anyhow::anyhow!("the reader panicked: please report this")))?;
-    let read = read.map_err(input)?;
+    let read = read?;
     let [_, all] = bytes.get();
     // A reader may stop before an index that it does not need.
     if let Some(progress) = progress.filter(|_| all > 0 && shown != [all, all]) {
         progress.call1(py, (all, all))?;
     }
     Ok(read)
+}
+
+/// Reads a track of the truth, if one is named, in the way of [`interruptible`].
+pub(crate) fn read_truth(py: Python<'_>, path: Option<PathBuf>) -> PyResult<Option<Truth>> {
+    path.map(|path| interruptible(py, None, move |_| Truth::read(&path).map_err(failed))).transpose()
 }
 
 /// The first exception of a Python function that Rust has called where no error can be returned.

@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use rangehound::results::frame::{Frames, LoggedTick};
-use rangehound::results::report::{ReportBuilder, Truth, read_nodes};
+use rangehound::results::report::{ReportBuilder, read_nodes};
 use rangehound::run::folder::read_description;
 use rangehound::run::in_process::{Parts, Team};
 use rangehound::study::compare::certified_reference::{CertifiedReference, Distance};
@@ -20,7 +20,7 @@ use rangehound_sim::world_moved_by;
 
 use crate::arrays::array;
 use crate::callables::{FunctionSensor, FunctionTarget};
-use crate::errors::{Raised, failed, input};
+use crate::errors::{Raised, failed, input, read_truth};
 use crate::scenario::Scenario;
 use crate::situation;
 
@@ -272,7 +272,7 @@ pub(crate) fn simulate<'py>(
     progress: Option<Bound<'py, PyAny>>,
 ) -> PyResult<(Bound<'py, PyDict>, String)> {
     let scenario = &scenario.with(py, seed, ticks)?;
-    let truth = truth.map(|path| Truth::read(&path)).transpose().map_err(failed)?;
+    let truth = read_truth(py, truth)?;
     let is_recorded = matches!(scenario.source, Source::Recorded(_));
     let replaced = planner.is_some() || sensor.is_some() || target.is_some() || gap;
     if is_recorded && replaced {
@@ -315,7 +315,7 @@ pub(crate) fn load<'py>(
     progress: Option<Py<PyAny>>,
 ) -> PyResult<(Option<Scenario>, Bound<'py, PyDict>, String)> {
     let description = read_description(&folder).map_err(failed)?;
-    let truth = truth.map(|path| Truth::read(&path)).transpose().map_err(failed)?;
+    let truth = read_truth(py, truth)?;
     let read = || -> anyhow::Result<_> {
         let (mut history, mut report) = (History::of(&description.scenario), ReportBuilder::new(truth.as_ref())?);
         let frames = Frames::open(&description)?;

@@ -28,7 +28,9 @@ impl Scenario {
         let Given { file, file_name, folder, .. } = &given;
         let checked = if file.recording.is_some() {
             let (file, file_name, folder) = (file.clone(), file_name.clone(), folder.clone());
-            interruptible(py, progress, move |bytes| files::scenario_with(&file, &file_name, &folder, bytes))?
+            interruptible(py, progress, move |bytes| {
+                files::scenario_with(&file, &file_name, &folder, bytes).map_err(input)
+            })?
         } else {
             files::scenario(file, file_name, folder).map_err(input)?
         };

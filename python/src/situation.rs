@@ -124,10 +124,10 @@ impl Situation {
         Ok(Plan::of_parts(spec.name(), &plan, certificate, plan_us))
     }
 
-    /// The worth of headings (M,), rad, and speeds (M,), m/s: `(objective, position trace in m^2, gap to the certified
+    /// Evaluates headings (M,), rad, and speeds (M,), m/s: `(objective, position trace in m^2, gap to the certified
     /// optimum)`.
     #[pyo3(signature = (headings_rad, speeds_mps=None))]
-    fn worth(
+    fn evaluate(
         &self,
         headings_rad: &Bound<'_, PyAny>,
         speeds_mps: Option<&Bound<'_, PyAny>>,
@@ -141,6 +141,16 @@ impl Situation {
         planner.plan(self.tick, &self.seen, &mut plan);
         let Distance { gap, .. } = CertifiedReference::for_robots(robots).map_err(input)?.measure(&self.seen, &plan);
         Ok((plan.worth.objective, plan.worth.position_trace_m2, gap))
+    }
+
+    /// The same as `evaluate`: its former name. Headings (M,), rad; speeds (M,), m/s.
+    #[pyo3(signature = (headings_rad, speeds_mps=None))]
+    fn worth(
+        &self,
+        headings_rad: &Bound<'_, PyAny>,
+        speeds_mps: Option<&Bound<'_, PyAny>>,
+    ) -> PyResult<(f64, f64, f64)> {
+        self.evaluate(headings_rad, speeds_mps)
     }
 
     fn __repr__(&self) -> String {

@@ -9,13 +9,12 @@ use anstream::adapter::strip_str;
 use pyo3::prelude::*;
 use rangehound::files::bytes_read::BytesRead;
 use rangehound::files::{calibration, input as files};
-use rangehound::results::report::Truth;
 use rangehound::study::calibrate::{Found, check};
 use rangehound::study::compare::monte_carlo::{CustomParts, Trials, Variant, Varied};
 use rangehound::study::compare::{first_scenarios, of_trials};
 use rangehound_shared::scenario::PLANNERS;
 
-use crate::errors::{Raised, failed, input, interruptible};
+use crate::errors::{Raised, failed, input, interruptible, read_truth};
 use crate::run::parts;
 use crate::scenario::Scenario;
 
@@ -140,10 +139,12 @@ pub(crate) fn calibrate(
     let file = crate::scenario::from_keys(keys)?;
     let table = file.recording.ok_or_else(|| input("recording is missing: expected a table"))?;
     let given = table.clone();
-    let read = move |bytes: &BytesRead| files::recording_of_with(&given, "the call of calibrate", Path::new(""), bytes);
+    let read = move |bytes: &BytesRead| {
+        files::recording_of_with(&given, "the call of calibrate", Path::new(""), bytes).map_err(input)
+    };
     let (recording, _) = interruptible(py, reading.as_ref(), read)?;
     check(&table, &recording).map_err(failed)?;
-    let truth = truth.map(|path| Truth::read(&path)).transpose().map_err(failed)?;
+    let truth = read_truth(py, truth)?;
     let (fitted, is_wanted) = (AtomicUsize::new(0), AtomicBool::new(true));
     let work = || {
         let show = |models| fitted.store(models, Ordering::Relaxed);
@@ -160,11 +161,15 @@ pub(crate) fn calibrate(
         std::thread::scope(|scope| {
             let worker = std::thread::Builder::new().name("calibrate".to_owned()).spawn_scoped(scope, work);
             let worker = worker.map_err(|error| failed(anyhow::Error::from(error)))?;
-            while !worker.is_finished() {
+            let mut looked = Ok(());
+            while looked.is_ok() && !worker.is_finished() {
                 std::thread::sleep(PROGRESS_INTERVAL);
-                look().inspect_err(|_| is_wanted.store(false, Ordering::Relaxed))?;
+                looked = look();
             }
-            worker.join().map_err(|_| failed(anyhow::anyhow!("the calibration panicked: please report this")))
+            is_wanted.store(looked.is_ok(), Ordering::Relaxed);
+            let found = worker.join();
+            looked?;
+            found.map_err(|_| failed(anyhow::anyhow!("the calibration panicked: please report this")))
         })
     })?;
     let json = serde_json::to_string(&found).map_err(failed)?;
@@ -188,7 +193,9 @@ pub(crate) fn calibrated(py: Python<'_>, keys: &str, toml: &str, reading: Option
     })?;
     if let Some(table) = &mut file.recording {
         let given = table.clone();
-        let read = move |bytes: &BytesRead| files::recording_of_with(&given, "the call of track", Path::new(""), bytes);
+        let read = move |bytes: &BytesRead| {
+            files::recording_of_with(&given, "the call of track", Path::new(""), bytes).map_err(input)
+        };
         let (recording, _) = interruptible(py, reading.as_ref(), read)?;
         let known: Vec<String> = recording.sensors().iter().map(|sensor| sensor.name.to_string()).collect();
         calibration::merge(&found, &known, table, &mut file.target.get_or_insert_default().noise_psd);

@@ -107,7 +107,7 @@ def test_the_stubs_have_the_signatures_of_the_native_half(tmp_path):
         (rh.Filter, ["(n,)", "(n, n)", "P'^-1"]),
         (rh.Filter.step, ["(M,)", "(M, 2)", "(M, 2, 2)"]),
         (rh.Run, ["(T, n, n)", "(T, M, 2)", "rad", "m^2"]),
-        (rh.Situation.worth, ["(M,)", "rad", "m/s"]),
+        (rh.Situation.evaluate, ["(M,)", "rad", "m/s"]),
         (rh.calibrate, ["(1 + scale) true + bias_m"]),
     ],
     ids=lambda thing: getattr(thing, "__name__", ""),

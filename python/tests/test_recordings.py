@@ -139,13 +139,13 @@ def test_columns_may_have_any_text(ranges):
     assert {sensor["name"] for sensor in run.report["sensors"]} == set(names.values())
 
 
-@pytest.mark.parametrize("call", ["track", "calibrate"])
-def test_an_interrupt_ends_the_reading_of_a_recording(call, tmp_path):
+@pytest.mark.parametrize("call", ["track(pipe)", "calibrate(pipe)", "track(ranges, truth=pipe)", "calibrate(ranges, truth=pipe)"])
+def test_an_interrupt_ends_the_reading_of_a_file(call, ranges, tmp_path):
     """A writer that says nothing: the reading has no end."""
-    pipe = tmp_path / "ranges.csv"
+    pipe = tmp_path / "pipe.csv"
     os.mkfifo(pipe)
-    script = f"import sys, rangehound as rh\nprint('ready', flush=True)\nrh.{call}(sys.argv[1])"
-    child = subprocess.Popen([sys.executable, "-c", script, pipe], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    script = f"import sys, rangehound as rh\n_, ranges, pipe = sys.argv\nprint('ready', flush=True)\nrh.{call}"
+    child = subprocess.Popen([sys.executable, "-c", script, ranges, pipe], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     try:
         assert child.stdout.readline() == "ready\n"
         with open(pipe, "w"):

@@ -88,7 +88,7 @@ def seconds(message):
 
 
 def ended(process, code=0):
-    out, err = process.communicate(timeout=60)
+    _, err = process.communicate(timeout=60)
     assert process.returncode == code, (process.returncode, err)
     return err
 
@@ -152,6 +152,26 @@ def test_three_robots_of_ros_track_as_well_as_our_own_and_no_message_is_lost(pro
     places = [[pose["pose"]["pose"]["position"][axis] for axis in "xy"] for pose in messages["/robot_1/pose"]]
     np.testing.assert_array_equal(places, live.believed_m[:, 1])
     assert {message["header"]["frame_id"] for message in poses} == {"map"}
+
+
+def test_each_message_of_a_real_robot_is_received_once(program, name, ros, tmp_path):
+    """In real time, from a process that repeats nothing."""
+    sender = ros(HERE / "ros2_sender.py", 1000, 0.01, 0, 1, waits=True)
+    reliable = [f"qos_overrides./robot_{i}/{topic}.subscription.reliability:=reliable" for i in range(2) for topic in ("odom", "range")]
+    deep = [f"qos_overrides./robot_{i}/{topic}.subscription.depth:=1000" for i in range(2) for topic in ("odom", "range")]
+    overrides = [word for parameter in reliable + deep for word in ("-p", parameter)]
+    with rh.run(name=name, out=tmp_path / "out", program=program, ticks=100_000, dt_s=0.01, clock="realtime", external=[0, 1]) as run:
+        bridge = node(ros, name, "--robots", "0,1", "--ros-args", *overrides)
+        out, err = sender.communicate(timeout=WATCHDOG_S)
+        assert sender.returncode == 0, err
+        counts = json.loads(out)
+        run.stop()
+        ended(bridge)
+    received = {f"{what} received": "1000" for what in ("ranges", "odometry")}
+    assert len(counts) == 2 and all(values.items() >= received.items() for values in counts.values()), counts
+    live = rh.load(tmp_path / "out")
+    # They take part: only measurements of the same tick replace each other.
+    assert (np.isfinite(live.range_m[:, :2]).sum(axis=0) > 100).all()
 
 
 def test_uncertain_robots_with_cameras_and_frames_of_their_own_say_what_ros_says(program, name, ros, tmp_path):

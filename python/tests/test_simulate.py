@@ -61,12 +61,13 @@ def test_a_planner_that_is_a_function_runs_as_the_built_in_one():
         assert (own.gap >= 0).all() and (name != "certified" or own.gap.max() < 1e-8)
 
 
-def test_a_worse_planner_has_a_gap_and_worth_says_the_same():
+def test_a_worse_planner_has_a_gap_that_evaluate_computes_too():
     seen = []
 
     def east(situation):
         headings = np.zeros(situation.robots)
-        seen.append(situation.worth(headings))
+        seen.append(situation.evaluate(headings))
+        assert situation.worth(headings) == seen[-1]
         return headings
 
     run = rh.simulate(ticks=50, planner=east)

@@ -77,6 +77,14 @@ impl Draws {
         }
     }
 
+    /// The first of these draws for this tick.
+    #[must_use]
+    pub fn one_standard_normal(&mut self, tick: u64) -> f64 {
+        let mut out = [0.0];
+        self.standard_normal(tick, &mut out);
+        out[0]
+    }
+
     /// Fills `out` with independent draws from the uniform distribution on [0, 1) for this tick.
     pub fn uniform(&mut self, tick: u64, out: &mut [f64]) {
         // A draw takes two words.

@@ -253,7 +253,7 @@ fn member(robot: &RobotLine) -> Result<TeamMember, String> {
     };
     let std_per_m = optional("range_std_per_m", robot.range_std_per_m, bounds::STD_PER_M, 0.0)?;
     if std_m.is_none() && robot.range_std_per_m.is_some() {
-        return Err(expected("range_std_per_m", "range_std beside it", std_per_m));
+        return Err(expected("range_std_per_m", "range_std with it", std_per_m));
     }
     let position_covariance_m2 = match robot.position_covariance {
         Some(rows) => {

@@ -26,6 +26,9 @@ _RANGE_STD_MIN_M = 1e-4
 #: How long the last command, to stop, may take to arrive, s.
 _LAST_COMMAND_S = 1.0
 
+#: Names of the counts in the diagnostics.
+_PLURALS = {"range": "ranges", "bearing": "bearings", "odometry": "odometry"}
+
 _HELP = """
 topics in:   robot_N/range robot_N/bearing robot_N/odom
 topics out:  robot_N/cmd_vel /diagnostics
@@ -88,6 +91,7 @@ class Bridge:
         self._measured_now: list[Any] = [None, None]
         self._command = (0.0, 0.0)
         self._tick_s = 0.0
+        self._received: Counter[str] = Counter()
         self._refused: Counter[str] = Counter()
         self._used = {"range": 0, "bearing": 0}
 
@@ -164,6 +168,7 @@ class Bridge:
             value = None
             self._refuse(what, str(refusal))
         with self._changed:
+            self._received[what] += 1
             is_new = newest.put(stamp_s, value) and value is not None
             if is_new and newest is self._odometry:
                 self._odom = value
@@ -261,9 +266,10 @@ class Bridge:
 
         with self._changed:
             is_fresh = self._odometry.look(self._now_s(), self._odom_max_age_s) is not None
-            used = self._used.copy()
+            received = {f"{_PLURALS[what]} received": count for what, count in self._received.items()}
+            used = {f"{_PLURALS[what]} used": count for what, count in self._used.items()}
         refused = {f"refused, {cause}": count for cause, count in self._refused.items()}
-        values = {**{f"{what}s used": count for what, count in used.items()}, **refused}
+        values = {**received, **used, **refused}
         message = self._diagnostics()
         message.header.stamp = self._session.node.get_clock().now().to_msg()
         text = "odometry is fresh" if is_fresh else "no fresh odometry: the robot stands still"

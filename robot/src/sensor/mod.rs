@@ -1,12 +1,16 @@
-//! Sensors of the target: the trait that a driver implements, and the ones that need no hardware.
+//! Sensors of the target: the trait that a driver implements, and the ones that need no hardware. Each kind of measurement
+//! has a file.
 
+mod bearing;
+mod range;
 mod recorded;
 mod simulated;
 
 use rangehound_shared::measurement::Measurement;
 use rangehound_shared::message::WorldEntry;
-use rangehound_shared::scenario::{Calibration, Scenario, Source};
+use rangehound_shared::scenario::{Scenario, Source};
 
+pub use range::calibrated_m;
 pub use recorded::RecordedSensor;
 pub use simulated::SimulatedSensor;
 
@@ -54,12 +58,6 @@ pub fn measure<S: Sensor + ?Sized, P: PoseSource + ?Sized>(
     let pose = poses.pose(time_s, entry);
     let Sensed { range_m, bearing_rad } = if tick > 0 { sensor.sense(tick, entry) } else { Sensed::default() };
     Measurement::new(pose, range_m).with_bearing(bearing_rad)
-}
-
-/// The true range of a measured one, m: [`Calibration`] solved for it; 0 if the measured range is shorter than the bias.
-#[must_use]
-pub fn calibrated_m(measured_m: f64, calibration: Calibration) -> f64 {
-    ((measured_m - calibration.bias_m) / (1.0 + calibration.scale)).max(0.0)
 }
 
 /// The sensor that a scenario gives a robot, by id; `None` if it has no such robot.

@@ -1,62 +1,43 @@
 //! The sensor of a simulated target, pure.
 
-use rangehound_shared::angle::wrapped_rad;
-use rangehound_shared::draws::{Draws, Stream};
 use rangehound_shared::message::{Origin, WorldEntry};
-use rangehound_shared::scenario::{Scenario, SensorSpec};
+use rangehound_shared::scenario::Scenario;
 
+use super::bearing::SimulatedBearing;
+use super::range::SimulatedRange;
 use super::{Sensed, Sensor};
 
 /// The true values with Gaussian noise, a function of (seed, robot, tick).
 #[derive(Debug, Clone)]
 pub struct SimulatedSensor {
-    sensor: SensorSpec,
-    reported: SensorSpec,
-    range_noise: Draws,
-    bearing_noise: Draws,
+    range: Option<SimulatedRange>,
+    bearing: Option<SimulatedBearing>,
 }
 
 impl SimulatedSensor {
     /// The sensor of a robot, by id; `None` if the scenario has no such robot.
     #[must_use]
     pub fn new(scenario: &Scenario, robot: usize) -> Option<Self> {
-        let spec = scenario.robots.get(robot)?;
-        let noise = |stream: Stream| Draws::new(scenario.seed, stream);
-        Some(Self {
-            sensor: spec.sensor,
-            reported: spec.reported,
-            range_noise: noise(Stream::RangeNoise { robot }),
-            bearing_noise: noise(Stream::BearingNoise { robot }),
-        })
+        let (spec, seed) = (scenario.robots.get(robot)?, scenario.seed);
+        let range = SimulatedRange::new(spec, seed, robot);
+        Some(Self { range, bearing: SimulatedBearing::new(spec, seed, robot) })
     }
-}
-
-fn normal(draws: &mut Draws, tick: u64) -> f64 {
-    let mut noise = [0.0];
-    draws.standard_normal(tick, &mut noise);
-    noise[0]
 }
 
 impl Sensor for SimulatedSensor {
     fn sense(&mut self, tick: u64, entry: &WorldEntry) -> Sensed {
-        let Self { sensor, reported, range_noise, bearing_noise } = self;
         let (true_m, true_rad) = entry.of(Origin::Simulated);
-        let range_m = true_m.zip(sensor.range).zip(reported.range).and_then(|((true_m, noise), reported)| {
-            let range_m = true_m + noise.std_at_m(true_m) * normal(range_noise, tick);
-            // A robot knows the distance only by what it has measured.
-            Some((range_m, reported.std_at_m(range_m))).filter(|_| range_m.is_finite())
-        });
-        let bearing_rad = true_rad.zip(sensor.bearing_std_rad).zip(reported.bearing_std_rad);
-        let bearing_rad = bearing_rad.map(|((true_rad, std_rad), reported_rad)| {
-            (wrapped_rad(true_rad + std_rad * normal(bearing_noise, tick)), reported_rad)
-        });
-        Sensed { range_m, bearing_rad }
+        Sensed {
+            range_m: self.range.as_mut().zip(true_m).and_then(|(range, true_m)| range.sense(tick, true_m)),
+            bearing_rad: self.bearing.as_mut().zip(true_rad).map(|(bearing, true_rad)| bearing.sense(tick, true_rad)),
+        }
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use rangehound_shared::angle::wrapped_rad;
     use rangehound_shared::scenario::ScenarioFile;
 
     fn of(text: &str, robot: usize) -> SimulatedSensor {

@@ -170,7 +170,7 @@ fn columns_that_are_told_go_before_names() {
     assert!(complaint(body, &ReadOptions::default()).starts_with("values instead of names, \"0.1,A,"));
     let missing = complaint(&text, &with_columns("time=uhr:s"));
     assert!(
-        missing.contains("no column of --columns time=uhr:s in r.csv")
+        missing.contains("--columns time=uhr:s names no column in r.csv")
             && missing.contains("one of the columns \"zeit\", \"wer\""),
         "{missing}"
     );

@@ -76,7 +76,7 @@ impl LatencyArgs {
         let clock = match (self.clock, self.rate) {
             (Some(Clock::Lockstep), Some(_)) => {
                 return Err(Failure::input(
-                    "--rate is given in lock step, which has none: expected --clock realtime beside it",
+                    "--rate is given in lock step, which has no rate: add --clock realtime, or leave --rate out",
                 ));
             }
             (clock, None) => clock.unwrap_or(Clock::Lockstep),

@@ -54,7 +54,7 @@ impl<'a> Finder<'a> {
                 // An anchors file and its log often use different names for the sensor column.
                 None if self.kind == Kind::Anchors && role == Role::Sensor => self.named_index(role, table),
                 None => Err(table.header_error(
-                    format!("no column of --columns {option}"),
+                    format!("--columns {option} names no column"),
                     format!("expected one of the columns {}", table.listed_columns()),
                 )),
                 found => Ok(found),

@@ -135,7 +135,7 @@ impl Checker<'_> {
         if let Some(psd) = table.noise_psd {
             let psd = self.number("filter.noise_psd", Some(psd), psd, NOISE_PSD)?;
             let MotionModel::IntegratorChain { noise_psd, .. } = &mut scenario.filter_motion else {
-                return Err(self.refuse("filter.noise_psd", "no such key beside target.qd", "given"));
+                return Err(self.refuse("filter.noise_psd", "only target.qd", "given together with target.qd"));
             };
             *noise_psd = psd;
         }
@@ -167,7 +167,8 @@ impl Checker<'_> {
             }
         };
         if bias || pose {
-            return Err(self.refuse("filter.estimate", "no such key unless nuisances = \"schmidt\"", "given"));
+            let got = "given together with another filter.nuisances than \"schmidt\"";
+            return Err(self.refuse("filter.estimate", "only one of the two keys", got));
         }
         Ok(treatment)
     }

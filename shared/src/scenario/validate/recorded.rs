@@ -29,7 +29,7 @@ impl Checker<'_> {
             ("target.real", raw.target.as_ref().is_some_and(|target| target.real.is_some())),
         ];
         if let Some((key, _)) = simulated_only.iter().find(|(_, present)| *present) {
-            return Err(self.refuse(key, "no such key in a scenario with [recording]", "given"));
+            return Err(self.refuse(key, "only one of them", "given together with [recording]"));
         }
         let filter = raw.filter.as_ref();
         for (key, instead, present) in [
@@ -37,7 +37,7 @@ impl Checker<'_> {
             ("filter.range_std_m", "recording.range_std_m", filter.is_some_and(|filter| filter.range_std_m.is_some())),
         ] {
             if present {
-                return Err(self.refuse(key, format!("{instead} instead, in a scenario with [recording]"), "given"));
+                return Err(self.refuse(key, format!("{instead} instead"), "given together with [recording]"));
             }
         }
         let height = |height_m| self.number("recording.target_height_m", Some(height_m), height_m, COORDINATE);
@@ -127,7 +127,9 @@ impl Checker<'_> {
         let Some(start_m) = table.start_m else {
             return match table.start_std_m {
                 None => Ok(Prior::FromRanges),
-                Some(_) => Err(self.refuse("recording.start_m", "a place [x, y] beside start_std_m", "missing")),
+                Some(_) => {
+                    Err(self.refuse("recording.start_std_m", "both of them, or neither", "given without start_m"))
+                }
             };
         };
         self.point("recording.start_m", Some(start_m))?;

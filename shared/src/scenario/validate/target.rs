@@ -25,7 +25,11 @@ impl Checker<'_> {
         };
         for (key, given) in [("phi", table.phi.is_some()), ("g", table.g.is_some()), ("qd", table.qd.is_some())] {
             if given {
-                return Err(self.refuse(&format!("target.{key}"), "no such key unless model = \"custom\"", "given"));
+                return Err(self.refuse(
+                    &format!("target.{key}"),
+                    "both of them, or neither",
+                    "given without target.model = \"custom\"",
+                ));
             }
         }
         let default = if recorded { defaults::RECORDED_ACCEL_PSD } else { defaults::NOISE_PSD };
@@ -35,7 +39,11 @@ impl Checker<'_> {
 
     pub(super) fn custom_motion(&self, table: &TargetTable) -> Result<MotionModel, ScenarioError> {
         if table.noise_psd.is_some() {
-            return Err(self.refuse("target.noise_psd", "no such key beside target.qd", "given"));
+            return Err(self.refuse(
+                "target.noise_psd",
+                "only target.qd",
+                "given together with target.model = \"custom\"",
+            ));
         }
         let phi = self.matrix("target.phi", table.phi.as_deref())?;
         let n = phi.shape().0;
@@ -75,7 +83,7 @@ impl Checker<'_> {
         match given {
             Some(MeanKey::Word(word)) if word == "drawn" => Err(self.refuse(
                 "prior.mean",
-                "\"start\" or a state beside target.real, because the truth is unknown",
+                "\"start\" or a state, because nobody knows the truth about a real target",
                 quoted(&word),
             )),
             given => Ok(given.unwrap_or_else(|| MeanKey::Word("start".to_owned()))),

@@ -49,7 +49,7 @@ impl Checker<'_> {
             (Some(_), Some(_)) => Err(self.refuse(
                 "robots",
                 "either [robots] with a count or a [[robot]] for each",
-                "given beside [[robot]]",
+                "given together with [[robot]]",
             )),
             (alike, None) => self.alike_team(&alike.clone().unwrap_or_default(), &equipment),
             (None, Some(tables)) => self.mixed_team(tables, &equipment),
@@ -195,7 +195,7 @@ impl Checker<'_> {
             ("range_bias_correlation_s", table.range_bias_correlation_s.is_some()),
         ] {
             if given && range.is_none() {
-                return Err(self.refuse(&key(of_range), "range_std_m beside it", "given"));
+                return Err(self.refuse(&key(of_range), "both of them, or neither", "given without range_std_m"));
             }
         }
         let bearing_std_rad = match table.bearing_std_rad {
@@ -232,8 +232,8 @@ impl Checker<'_> {
         let pose_std_m = self.number(&key("std_m"), table.std_m, 0.0, NUISANCE_STD_M)?;
         let pose_drift_m = self.number(&key("drift_m"), table.drift_m, 0.0, NUISANCE_STD_M)?;
         let correlation = match (table.drift_m, table.correlation_s) {
-            (Some(_), Some(time_s)) => {
-                return Err(self.refuse(&key("correlation_s"), "no such key beside drift_m", time_s));
+            (Some(_), Some(_)) => {
+                return Err(self.refuse(&key("correlation_s"), "only one of them", "given together with drift_m"));
             }
             (Some(_), None) => PoseCorrelation::Drift,
             (None, Some(_)) => {
