@@ -13,11 +13,10 @@ use super::sources::Sources;
 use super::{assert_none, pages, provided};
 
 /// The reasons for which a page may say that no test runs its commands.
-const REASONS: [&str; 6] = [
+const REASONS: [&str; 5] = [
     "needs a browser",
     "needs another machine, and a browser there",
     "needs packages of Python",
-    "needs rangehound-gateway",
     "takes minutes or hours",
     "takes minutes to build",
 ];
