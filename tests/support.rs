@@ -303,13 +303,18 @@ impl Process {
     }
 
     /// Waits for the end.
-    pub(crate) fn finish(mut self) -> Outcome {
+    pub(crate) fn finish(self) -> Outcome {
+        self.finish_within(LIMIT)
+    }
+
+    /// The same for what takes many steps.
+    pub(crate) fn finish_within(mut self, limit: Duration) -> Outcome {
         let began = Instant::now();
         let status = loop {
             if let Some(status) = self.child.try_wait().unwrap() {
                 break status;
             }
-            assert!(began.elapsed() < LIMIT, "{} has not ended in {LIMIT:?}\n{}", self.args, self.stderr());
+            assert!(began.elapsed() < limit, "{} has not ended in {limit:?}\n{}", self.args, self.stderr());
             std::thread::sleep(POLL);
         };
         Outcome { code: status.code(), stdout: self.stdout(), stderr: self.stderr() }

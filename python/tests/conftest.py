@@ -2,9 +2,11 @@
 
 import os
 import pathlib
+import re
 import signal
 import subprocess
 import sys
+from types import SimpleNamespace
 
 import pytest
 import rangehound as rh
@@ -106,3 +108,43 @@ def command():
         if process.poll() is None:
             process.kill()
         process.communicate()
+
+
+@pytest.fixture
+def traceless():
+    """Removes what the tracing of ROS leaves."""
+    tracing = lambda: {file for file in os.listdir("/dev/shm") if file.startswith("lttng-ust-wait-")}  # noqa: E731
+    before = tracing()
+    yield
+    for file in tracing() - before:
+        (pathlib.Path("/dev/shm") / file).unlink(missing_ok=True)
+
+
+#: Lines of the book that are not typed, and why.
+NOT_TYPED = {
+    "pip install": "the tests run where .ci/python has installed the package",
+    "python3 -m venv": "the same",
+    "source ": "ROS comes as wheels, which need no set-up",
+    "rviz2": "needs a screen",
+    "# or starts the viewer": "needs a screen",
+}
+
+
+@pytest.fixture
+def book(request, program, name, tmp_path, traceless):
+    """The blocks of a page that are marked for the test's file, and a script that types commands with the test's own run."""
+
+    def blocks(page):
+        mark = re.escape(f"<!-- run by: python/tests/{request.path.name} -->")
+        found = re.findall(rf"^{mark}\n```sh\n(.*?)^```", (ROOT / page).read_text(), re.MULTILINE | re.DOTALL)
+        is_typed = lambda line: not any(words in line for words in NOT_TYPED)  # noqa: E731
+        return ["".join(filter(is_typed, block.splitlines(keepends=True))) for block in found]
+
+    def script(commands, run="demo"):
+        (tmp_path / "scenarios").symlink_to(ROOT / "scenarios")
+        typed = re.sub(rf"\b{run}\b", name, commands)
+        # A watchdog for each process, because one that hangs would outlive its shell.
+        programs = f"rangehound() {{ timeout 100 {program} \"$@\"; }}\npython3() {{ timeout 100 {sys.executable} \"$@\"; }}\n"
+        return f"{programs}{typed}for job in $(jobs -p); do wait $job || exit 1; done"
+
+    return SimpleNamespace(blocks=blocks, script=script)

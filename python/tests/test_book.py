@@ -1,9 +1,11 @@
 """The Python of the book does what it says, and what is public is documented."""
 
+import importlib.util
 import inspect
 import os
 import pathlib
 import re
+import socket
 import subprocess
 import sys
 
@@ -13,12 +15,31 @@ import rangehound as rh
 ROOT = pathlib.Path(__file__).parents[2]
 
 
+#: What is before each block that is run here.
+MARK = "<!-- run by: python/tests/test_book.py -->"
+
 #: Pages with blocks of Python.
 PAGES = ("docs/python.md", "docs/report.md", "docs/recording.md")
 
+#: Pages with commands: what they need, how many blocks they have, and a file that they write.
+COMMANDS = (
+    ("docs/python.md", "numpy", 2, "runs/demo/estimate.ticks"),
+    ("docs/viewers.md", "rerun", 2, "demo.rrd"),
+    ("docs/ros2.md", "rclpy", 1, "runs/demo/report.json"),
+)
+
 
 def blocks(page, language):
-    return re.findall(rf"^```{language}\n(.*?)^```", (ROOT / page).read_text(), re.MULTILINE | re.DOTALL)
+    return re.findall(rf"^{MARK}\n```{language}\n(.*?)^```", (ROOT / page).read_text(), re.MULTILINE | re.DOTALL)
+
+
+def test_no_marked_block_is_forgotten():
+    pages = [str(path.relative_to(ROOT)) for path in (ROOT / "README.md", *ROOT.glob("docs/*.md"))]
+    marked = {page: (ROOT / page).read_text().count(MARK) for page in pages}
+    counts = {page: count for page, _, count, _ in COMMANDS}
+    counts["docs/recording.md"] = 1
+    run = {page: counts.get(page, 0) + (len(blocks(page, "python")) if page in PAGES else 0) for page in pages}
+    assert marked == run
 
 
 @pytest.fixture
@@ -46,32 +67,54 @@ def test_the_python_of_the_book_runs(page, number, python, program, runs, tmp_pa
     assert "False" not in done.stdout.replace("'valid': False", "").replace("'sound': False", "")
 
 
-#: Commands that need more than the package: a network, a workspace of ROS, a screen, real robots, or another program.
-NEEDS_MORE = ("pip install", "source ", "python3 -m venv", "rviz2", "starts the viewer", "--name team", "--connect")
+@pytest.fixture
+def viewer():
+    """A viewer of Rerun without a screen: its port. It has no port where Rerun is not installed."""
+    if importlib.util.find_spec("rerun") is None:
+        yield None
+        return
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    script = (
+        "import sys, rerun\n"
+        "recording = rerun.RecordingStream('viewer')\n"
+        f"print(recording.serve_grpc(grpc_port={port}), flush=True)\n"
+        "sys.stdin.read()\n"
+    )
+    with subprocess.Popen([sys.executable, "-c", script], cwd="/", stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as server:
+        assert str(port) in server.stdout.readline()
+        yield port
+        server.stdin.close()
 
 
-@pytest.mark.parametrize(
-    ("page", "needs", "writes"),
-    [
-        ("docs/python.md", "numpy", "runs/demo/estimate.ticks"),
-        ("docs/viewers.md", "rerun", "demo.rrd"),
-        ("docs/ros2.md", "rclpy", "runs/demo/report.json"),
-    ],
-)
-def test_the_shell_commands_of_the_book_run(page, needs, writes, program, name, tmp_path):
+@pytest.mark.parametrize(("page", "needs", "count", "writes"), COMMANDS)
+def test_the_shell_commands_of_the_book_run(page, needs, count, writes, book, viewer, name, tmp_path):
     pytest.importorskip(needs)
-    (tmp_path / "scenarios").symlink_to(ROOT / "scenarios")
-    lines = [line for block in blocks(page, "sh") for line in block.splitlines()]
-    commands = "\n".join(line for line in lines if not any(words in line for words in NEEDS_MORE))
-    # In a shell each command starts at once, and the page's runs are long.
+    commands = "".join(book.blocks(page))
+    assert len(book.blocks(page)) == count
+    commands = re.sub(r"--ticks \d+", "--ticks 100", commands).replace("127.0.0.1:9876", f"127.0.0.1:{viewer}")
+    # In a terminal each command starts at once, and the page's runs are long.
     commands = re.sub(r"^(python3 -m [^#&\n]*)(#.*)?$", r"\1 &", commands, flags=re.MULTILINE)
-    commands = re.sub(r"--ticks \d+", "--ticks 100", commands.replace("demo", name))
-    script = f"{commands}\nfor job in $(jobs -p); do wait $job || exit 1; done"
-    # A watchdog for each process, because one that hangs would outlive its shell.
-    script = f"rangehound() {{ timeout 100 {program} \"$@\"; }}\npython3() {{ timeout 100 {sys.executable} \"$@\"; }}\n{script}"
+    script = book.script(commands)
     done = subprocess.run(["bash", "-c", script], cwd=tmp_path, capture_output=True, text=True, timeout=120)
-    assert done.returncode == 0, commands + done.stderr
+    assert done.returncode == 0, script + done.stderr
     assert (tmp_path / writes.replace("demo", name)).stat().st_size > 0
+    # It ends in order only if the viewer has taken all ticks.
+    assert ("sends to the viewer" in done.stdout) == ("--connect" in commands), done
+
+
+def test_rerun_opens_the_file_of_a_run(book, runs, tmp_path):
+    reader = pytest.importorskip("rerun.chunk", reason="rerun-sdk is not installed").RrdReader
+    (commands,) = book.blocks("docs/recording.md")
+    (tmp_path / "runs").symlink_to(runs)
+    # It gets a file in place of a screen, and a home of its own for what it stores there.
+    viewer = f"HOME={tmp_path} timeout 100 {pathlib.Path(sys.executable).with_name('rerun')}"
+    script = f'rerun() {{ {viewer} "$@" --port auto --save shown.rrd; }}\n{commands}'
+    done = subprocess.run(["bash", "-c", script], cwd=tmp_path, capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0, done.stderr
+    shown = {chunk.entity_path for chunk in reader(tmp_path / "shown.rrd").stream().to_chunks()}
+    assert {"/estimate", "/range", "/heading", "/truth", "/scene/target"} <= shown
 
 
 def test_all_that_is_public_has_a_docstring():

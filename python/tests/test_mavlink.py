@@ -199,6 +199,18 @@ def test_three_vehicles_track_a_target_that_only_they_measure(by_hand, command, 
     assert all(autopilot.driven_m > 10 for autopilot in autopilots), [autopilot.driven_m for autopilot in autopilots]
 
 
+def test_the_commands_of_the_book_drive_a_vehicle(book, play, name, tmp_path):
+    (commands,) = book.blocks("docs/mavlink.md")
+    autopilot, _ = play()
+    assert "--ticks" not in commands and commands.count(":14550") == 1
+    commands = commands.replace("paper.toml", "paper.toml --ticks 80").replace(":14550", f":{autopilot.port}")
+    done = subprocess.run(["bash", "-c", book.script(commands)], cwd=tmp_path, capture_output=True, text=True, timeout=110)
+    assert done.returncode == 0 and "follows the run" in done.stderr, done
+    assert np.isfinite(rh.load(tmp_path / "runs" / name).range_m[:, 2]).sum() > 40
+    assert autopilot.driven_m > 1
+    until(lambda: autopilot.setpoints[-1][1] == 0)
+
+
 def test_nothing_drives_before_the_vehicle_is_armed_and_in_its_mode(one_vehicle):
     autopilot, process, _, _ = one_vehicle(armed=False, guided=False)
     # Noise on the port disturbs nothing.

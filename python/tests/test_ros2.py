@@ -37,10 +37,9 @@ LONG_WAIT = ["-p", "lockstep_wait_s:=60.0"]
 
 
 @pytest.fixture
-def ros(tmp_path):
-    """Starts processes in a ROS of their own on this host; ends what is left of them, and removes what ROS leaves."""
-    tracing = lambda: {file for file in os.listdir("/dev/shm") if file.startswith("lttng-ust-wait-")}
-    before, started = tracing(), []
+def ros(tmp_path, traceless):
+    """Starts processes in a ROS of their own on this host; ends what is left of them."""
+    started = []
     # The range LOCALHOST would bring shared memory back.
     own = {"ROS_DOMAIN_ID": str(1 + os.getpid() % 100), "ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET",
            "FASTDDS_DEFAULT_PROFILES_FILE": str(HERE / "ros2_loopback.xml"), "RMW_IMPLEMENTATION": "rmw_fastrtps_cpp",
@@ -62,8 +61,6 @@ def ros(tmp_path):
             except subprocess.TimeoutExpired:
                 process.kill()
                 process.communicate()
-    for file in tracing() - before:
-        (pathlib.Path("/dev/shm") / file).unlink(missing_ok=True)
 
 
 def node(ros, name, *args):
@@ -172,6 +169,23 @@ def test_each_message_of_a_real_robot_is_received_once(program, name, ros, tmp_p
     live = rh.load(tmp_path / "out")
     # They take part: only measurements of the same tick replace each other.
     assert (np.isfinite(live.range_m[:, :2]).sum(axis=0) > 100).all()
+
+
+def test_the_commands_of_the_book_lead_robots_of_ros(book, program, name, ros, tmp_path):
+    (commands,) = book.blocks("docs/ros2.md")
+    # The player answers in lock step.
+    assert commands.count("--ticks 6000") == 1
+    commands = commands.replace("--ticks 6000", "--ticks 100 --clock lockstep --timeout forever")
+    scenario = rh.Scenario(HERE.parents[1] / "scenarios/recommended.toml", ticks=100, clock="lockstep", timeout_s="forever")
+    oracle = rh.simulate(scenario)
+    play(ros, tmp_path, scenario, oracle)
+    # A shell in the same ROS, in place of Python.
+    typed = ros("-c", "import os, sys; os.execvp('bash', ['bash', '-c', sys.argv[1]])", book.script(commands, run="team"))
+    ended(typed)
+    live = rh.load(tmp_path / "runs" / name)
+    np.testing.assert_array_equal(live.truth, oracle.truth)
+    # A tick that waits for a second for a robot goes on without it.
+    assert live.report["ticks"] == 100 and live.report["ranges"]["fused"] > 250
 
 
 def test_uncertain_robots_with_cameras_and_frames_of_their_own_say_what_ros_says(program, name, ros, tmp_path):

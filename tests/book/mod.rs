@@ -2,6 +2,10 @@
 
 mod commands;
 mod page;
+mod provided;
+mod radio;
+mod recordings;
+mod refusals;
 mod sources;
 
 use std::collections::BTreeSet;
@@ -155,7 +159,7 @@ fn every_key_of_robots_sensors_and_recordings_is_explained() {
     assert_none(faults.map(|key| format!("docs/scenarios.md: not explained: {key}")).collect());
 }
 
-/// A line below the title that is no prose: it is empty, or the mark of a block that is not run.
+/// A line below the title that is no prose: it is empty, or the mark of a block.
 fn is_title_or_mark(line: &str) -> bool {
     line.is_empty() || line.starts_with("# ") || line.starts_with("<!-- ")
 }

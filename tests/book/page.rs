@@ -3,8 +3,8 @@
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
-/// Mark of a block that the test cannot run: the reason is between these two, on the line before the block.
-const NOT_RUN: (&str, &str) = ("<!-- not run: ", " -->");
+/// A mark is on the line before its block.
+const MARK: (&str, &str) = ("<!-- ", " -->");
 
 const FENCE: &str = "```";
 
@@ -25,8 +25,35 @@ pub(super) struct Block {
     pub(super) line: usize,
     pub(super) language: String,
     pub(super) text: String,
-    /// Why it is not run.
-    pub(super) not_run: Option<String>,
+    /// Without one it is run as it stands.
+    pub(super) mark: Option<Mark>,
+}
+
+/// How a block is run that needs more than the program.
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) enum Mark {
+    /// `run with`: what the tests here provide.
+    With(String),
+    /// `run by`: the file of the tests that run it.
+    By(String),
+    /// `not run`: why not.
+    Not(String),
+    /// None of these.
+    Unknown(String),
+}
+
+impl Mark {
+    fn of(line: &str) -> Option<Self> {
+        let text = line.strip_prefix(MARK.0)?.strip_suffix(MARK.1)?;
+        let (kind, what) = text.split_once(": ").unwrap_or((text, ""));
+        let kind = match kind {
+            "run with" => Self::With,
+            "run by" => Self::By,
+            "not run" => Self::Not,
+            _ => return Some(Self::Unknown(text.to_owned())),
+        };
+        Some(kind(what.to_owned()))
+    }
 }
 
 impl Page {
@@ -56,7 +83,7 @@ impl Page {
         format!("{}:{line}", self.path.display())
     }
 
-    /// Blocks that are run: of the shell, or of Python.
+    /// Blocks of commands: of the shell, or of Python.
     pub(super) fn commands(&self) -> impl Iterator<Item = Block> {
         self.blocks().into_iter().filter(|block| ["sh", "python"].contains(&block.language.as_str()))
     }
@@ -69,9 +96,7 @@ impl Page {
             if let Some(language) = line.strip_prefix(FENCE) {
                 let inside = lines.by_ref().map(|(line, _)| line).take_while(|line| *line != FENCE);
                 let text = inside.map(|line| format!("{line}\n")).collect();
-                let not_run = before.strip_prefix(NOT_RUN.0).and_then(|rest| rest.strip_suffix(NOT_RUN.1));
-                let not_run = not_run.map(str::to_owned);
-                blocks.push(Block { line: number, language: language.to_owned(), text, not_run });
+                blocks.push(Block { line: number, language: language.to_owned(), text, mark: Mark::of(before) });
             }
             before = line;
         }

@@ -11,7 +11,8 @@ const FOREIGN: [&str; 4] = [".git", "target", "runs", "corpus"];
 pub(super) struct Sources {
     /// Files and folders, relative to the project's folder.
     paths: Vec<PathBuf>,
-    tests: BTreeSet<String>,
+    /// The file and the name of each test.
+    tests: BTreeSet<(PathBuf, String)>,
     /// Every identifier of the Rust sources.
     words: BTreeSet<String>,
 }
@@ -23,7 +24,7 @@ impl Sources {
         let (mut tests, mut words) = (BTreeSet::new(), BTreeSet::new());
         for path in paths.iter().filter(|path| path.extension().is_some_and(|extension| extension == "rs")) {
             let source = std::fs::read_to_string(root().join(path)).unwrap();
-            tests.extend(tests_of(&source).map(str::to_owned));
+            tests.extend(tests_of(&source).map(|name| (path.clone(), name.to_owned())));
             words.extend(words_of(&source).map(str::to_owned));
         }
         Self { paths, tests, words }
@@ -45,7 +46,13 @@ impl Sources {
     }
 
     pub(super) fn has_test(&self, name: &str) -> bool {
-        self.tests.contains(name)
+        self.tests.iter().any(|(_, test)| test == name)
+    }
+
+    /// True if a folder has a test with this in its name, or in that of its modules.
+    pub(super) fn has_test_like(&self, folder: &Path, filter: &str) -> bool {
+        let mut tests = self.tests.iter().filter(|(path, _)| path.starts_with(folder));
+        tests.any(|(path, name)| name.contains(filter) || path.to_string_lossy().contains(filter))
     }
 }
 

@@ -19,22 +19,22 @@ const MANY: &str = "std_msgs/Header header\nOne[] ranges\nfloat32[] distances_m\
                     string anchor_id\nuint32 distance\ngeometry_msgs/Point at\n";
 
 /// One message: topic, type, definition, time of recording (ns), bytes.
-struct Message {
-    topic: &'static str,
-    type_name: &'static str,
-    definition: String,
-    log_ns: u64,
-    bytes: Vec<u8>,
+pub(crate) struct Message {
+    pub(crate) topic: &'static str,
+    pub(crate) type_name: &'static str,
+    pub(crate) definition: String,
+    pub(crate) log_ns: u64,
+    pub(crate) bytes: Vec<u8>,
 }
 
-fn header(out: &mut Writer, time_ns: u64, frame: &str) {
+pub(crate) fn header(out: &mut Writer, time_ns: u64, frame: &str) {
     out.begin();
     out.i32((time_ns / 1_000_000_000) as i32);
     out.u32((time_ns % 1_000_000_000) as u32);
     out.text(frame);
 }
 
-fn range(topic: &'static str, time_ns: u64, frame: &str, range_m: f32) -> Message {
+pub(crate) fn range(topic: &'static str, time_ns: u64, frame: &str, range_m: f32) -> Message {
     let mut out = Writer::default();
     header(&mut out, time_ns, frame);
     out.u8(0);
@@ -65,7 +65,7 @@ fn pose(topic: &'static str, time_ns: u64, x_m: f64, y_m: f64) -> Message {
     }
 }
 
-fn many(time_ns: u64, ranges: &[(&str, u32, [f64; 2])], tag: &str) -> Message {
+pub(crate) fn many(time_ns: u64, ranges: &[(&str, u32, [f64; 2])], tag: &str) -> Message {
     let mut out = Writer::default();
     header(&mut out, time_ns, "tag");
     out.u32(ranges.len() as u32);
@@ -92,7 +92,7 @@ fn many(time_ns: u64, ranges: &[(&str, u32, [f64; 2])], tag: &str) -> Message {
 }
 
 /// Writes a bag of one MCAP file.
-fn write_mcap(path: &Path, messages: &[Message]) {
+pub(crate) fn write_mcap(path: &Path, messages: &[Message]) {
     let mut mcap = mcap::WriteOptions::new().profile("ros2").create(File::create(path).unwrap()).unwrap();
     for (sequence, message) in messages.iter().enumerate() {
         let schema = mcap.add_schema(message.type_name, "ros2msg", message.definition.as_bytes()).unwrap();

@@ -1,6 +1,6 @@
 //! Recorded ranges: the shipped recording, and real ones if they are beside the project.
 
-mod bags;
+pub(crate) mod bags;
 mod believed;
 mod intake;
 

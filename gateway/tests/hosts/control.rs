@@ -1,7 +1,7 @@
 //! Robots on other hosts that tools of the run's host may end, where their host allows that.
 
 use std::io::{Read as _, Write as _};
-use std::net::{TcpStream, UdpSocket};
+use std::net::TcpStream;
 
 use rustix::process::{Signal, kill_process};
 
@@ -172,22 +172,5 @@ fn the_buttons_of_the_live_page_act_on_robots_whose_host_allows_it() {
     run.finish_ok(&format!("stop --name {}", run.name));
     // It waits for the next run.
     refuses.ends();
-    run.assert_nothing_left();
-}
-
-/// The commands of the book for a trial on one machine, with a name and a port of their own, in a run that is short.
-#[test]
-fn the_trial_of_the_book_on_one_machine_works() {
-    let run = Run::new();
-    let book = std::fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/../docs/machines.md")).unwrap();
-    let (_, trial) = book.split_once("To try it on one machine").unwrap();
-    let (commands, _) = trial.split_once("```sh\n").unwrap().1.split_once("```").unwrap();
-    let port = UdpSocket::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
-    let commands = commands.replace(":7400", &format!(":{port}")).replace("trial", &run.name);
-    let commands = commands.replace("run --name", "run --ticks 50 --name");
-    // The robot ends with the run.
-    let script = format!("program=$1\nrangehound() {{ \"$program\" \"$@\"; }}\n{commands}wait $!");
-    run.start_by(&script, "").succeeds();
-    assert!(run.path(&format!("runs/{}/report.json", run.name)).exists());
     run.assert_nothing_left();
 }

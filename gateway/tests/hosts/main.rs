@@ -11,10 +11,12 @@
 //! | `clocks` | hosts with clocks of their own: time namespaces |
 //! | `control` | robots that tools of the run's host may end |
 //! | `own_robot` | robots with equipment of their own, and what it is asked for |
+//! | `book` | the commands of README and docs that need this program |
 //! | `namespaces` | `chaos` and `latency` over hosts with networks of their own |
 
 #![allow(clippy::unwrap_used, reason = "a test that cannot go on should panic")]
 
+mod book;
 mod clocks;
 mod control;
 mod hostile;

@@ -5,7 +5,7 @@ use serde_json::Value;
 use crate::support::Run;
 
 /// Runs a study to its end; returns what it wrote.
-fn study(run: &Run, words: &str, file: &str) -> Value {
+pub(crate) fn study(run: &Run, words: &str, file: &str) -> Value {
     let process = run.start(&format!("{words} --name {} --out out", run.name));
     let pid = process.pid().as_raw_pid();
     process.succeeds();

@@ -25,29 +25,6 @@ pub(crate) fn with_keys() -> Run {
     run
 }
 
-/// The commands of README and docs that make keys. Their own tests cannot run them, because they need this program.
-#[test]
-fn the_keys_of_the_book_are_made_as_it_says() {
-    let root = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
-    for (page, commands) in [("README.md", 1), ("docs/machines.md", 3)] {
-        let run = Run::new();
-        let text = std::fs::read_to_string(root.join(page)).unwrap();
-        let typed = text.lines().filter_map(|line| line.strip_prefix("rangehound keys"));
-        let mut count = 0;
-        for words in typed.map(|line| line.split('#').next().unwrap_or_default().trim()) {
-            // The first block of a page makes an authority, and so does the second one: each has a folder of its own.
-            let has_authority = run.path("keys").exists() && words.contains("--gateway");
-            if has_authority {
-                std::fs::remove_dir_all(run.path("keys")).unwrap();
-            }
-            run.finish_ok(&format!("keys {words}"));
-            count += 1;
-        }
-        assert_eq!(count, commands, "{page}");
-        assert!(run.path("keys/station").exists() && run.path("keys/alice").exists(), "{page}");
-    }
-}
-
 #[test]
 fn an_address_that_others_can_reach_demands_keys() {
     let run = Run::new();
