@@ -33,20 +33,20 @@ fn reader(port: &Path) -> Result<File> {
     if port == Path::new(STANDARD) {
         return Ok(stdin().as_fd().try_clone_to_owned()?.into());
     }
-    options().read(true).open(port)
+    options(OFlags::empty()).read(true).open(port)
 }
 
-/// Opens the destination of commands.
+/// Opens the destination of commands. A device never blocks; standard output is shared with other processes, and stays as it is.
 fn writer(port: &Path) -> Result<File> {
     if port != Path::new(STANDARD) && port.metadata()?.file_type().is_char_device() {
-        return options().write(true).open(port);
+        return options(OFlags::NONBLOCK).write(true).open(port);
     }
     Ok(stdout().as_fd().try_clone_to_owned()?.into())
 }
 
 /// The port must not become the controlling terminal, whose hang-up would end this process.
-fn options() -> OpenOptions {
+fn options(more: OFlags) -> OpenOptions {
     let mut options = OpenOptions::new();
-    options.custom_flags(OFlags::NOCTTY.bits().cast_signed());
+    options.custom_flags((OFlags::NOCTTY | more).bits().cast_signed());
     options
 }
