@@ -47,35 +47,43 @@ pub(super) struct Curve {
 impl Curve {
     /// The curve of a robot with this reach; `corners_m` are the corners of all cells.
     pub(super) fn of(member: &TeamMember, reach: &Reach, corners_m: &[Vector]) -> Self {
-        let noise = Noise::of(member);
-        let nearest = if noise.is_bounded() { NEAREST } else { NEAREST_BEARING };
+        let (pieces, noise, leaves) = (Pieces::new(), Noise::of(member), SmallVec::new());
+        let mut curve = Self { pieces, noise, leaves, least_t: 0.0 };
+        curve.pose(member, reach, corners_m);
+        curve
+    }
+
+    /// Becomes the curve of a robot, in the memory that it has: curves are too large to be moved about.
+    pub(super) fn pose(&mut self, member: &TeamMember, reach: &Reach, corners_m: &[Vector]) {
+        self.noise = Noise::of(member);
+        let nearest = if self.noise.is_bounded() { NEAREST } else { NEAREST_BEARING };
         let stand_off_m = reach.stand_off_m().max(nearest * reach.step_m);
-        let mut pieces = places(reach, corners_m, stand_off_m);
+        let pieces = &mut self.pieces;
+        places(reach, corners_m, stand_off_m, pieces);
         if member.sensor.reach_m().is_finite() {
-            restrict(&mut pieces, |piece| piece.parts_within(member.sensor.reach_m()).collect());
+            restrict(pieces, |piece| piece.parts_within(member.sensor.reach_m()).collect());
         }
         if member.sensor.view_rad() < 2.0 * PI && reach.step_m > 0.0 {
             let half_rad = 0.5 * member.sensor.view_rad();
-            restrict(&mut pieces, |piece| parts_in_view(piece, reach.to_target_m, half_rad));
+            restrict(pieces, |piece| parts_in_view(piece, reach.to_target_m, half_rad));
         }
         // A place on the target has no direction.
         if pieces.iter().all(|piece| piece.square == [0.0; 3]) {
             // It sees nothing after any step, and comes as near as it may, to see later.
-            return Self::blind(reach, noise, places(reach, corners_m, stand_off_m));
+            places(reach, corners_m, stand_off_m, pieces);
+            self.blind(reach);
         }
-        Self::with(pieces, noise)
+        self.leaves.clear();
+        self.leaves.extend(self.pieces.iter().map(|piece| Leaf::of(&self.noise, piece)));
+        self.least_t = self.leaves.iter().map(Leaf::least_t).fold(f64::INFINITY, f64::min);
     }
 
-    fn blind(reach: &Reach, noise: Noise, pieces: Pieces) -> Self {
-        let ends = pieces.iter().flat_map(|piece| [0.0, 0.5, 1.0].map(|u| piece.sight_m(u)));
+    fn blind(&mut self, reach: &Reach) {
+        let ends = self.pieces.iter().flat_map(|piece| [0.0, 0.5, 1.0].map(|u| piece.sight_m(u)));
         let nearest = ends.min_by(|a, b| a.norm_squared().total_cmp(&b.norm_squared())).unwrap_or(reach.to_target_m);
-        Self::with([Piece::segment(nearest, nearest)].into_iter().collect(), noise.nothing())
-    }
-
-    fn with(pieces: Pieces, noise: Noise) -> Self {
-        let leaves: SmallVec<[Leaf; 8]> = pieces.iter().map(|piece| Leaf::of(&noise, piece)).collect();
-        let least_t = leaves.iter().map(Leaf::least_t).fold(f64::INFINITY, f64::min);
-        Self { pieces, noise, leaves, least_t }
+        self.pieces.clear();
+        self.pieces.push(point(nearest));
+        self.noise = self.noise.nothing();
     }
 
     /// The end of the parameter's interval, which begins at 0.
@@ -150,14 +158,15 @@ impl Curve {
 
 /// The near side of the edge of the places that a robot can reach, as far as it keeps the stand-off, and the stand-off's
 /// circle within them.
-fn places(reach: &Reach, corners_m: &[Vector], stand_off_m: f64) -> Pieces {
+fn places(reach: &Reach, corners_m: &[Vector], stand_off_m: f64, pieces: &mut Pieces) {
     let to_target_m = reach.to_target_m;
-    let mut pieces = match reach.room() {
-        _ if reach.step_m == 0.0 => point(to_target_m),
-        Room::Out(offset_m) => point(to_target_m - *offset_m),
-        Room::Disc => disc(to_target_m, reach.sight, reach.step_m, stand_off_m),
-        Room::Cell(corners) => cell(to_target_m, &corners_m[corners.clone()], stand_off_m),
-    };
+    pieces.clear();
+    match reach.room() {
+        _ if reach.step_m == 0.0 => pieces.push(point(to_target_m)),
+        Room::Out(offset_m) => pieces.push(point(to_target_m - *offset_m)),
+        Room::Disc => disc(to_target_m, reach.sight, reach.step_m, stand_off_m, pieces),
+        Room::Cell(corners) => cell(to_target_m, &corners_m[corners.clone()], stand_off_m, pieces),
+    }
     if pieces.is_empty() {
         // It is within the stand-off after any step: straight out.
         let out = match reach.room() {
@@ -167,29 +176,27 @@ fn places(reach: &Reach, corners_m: &[Vector], stand_off_m: f64) -> Pieces {
             }
             _ => to_target_m + reach.sight * reach.step_m,
         };
-        pieces = point(out);
+        pieces.push(point(out));
     }
-    pieces
 }
 
-fn point(sight_m: Vector) -> Pieces {
-    [Piece::segment(sight_m, sight_m)].into_iter().collect()
+fn point(sight_m: Vector) -> Piece {
+    Piece::segment(sight_m, sight_m)
 }
 
 /// For a robot at distance `D` from the target, with step `r` and stand-off `s`.
-fn disc(to_target_m: Vector, sight: Vector, r: f64, s: f64) -> Pieces {
+fn disc(to_target_m: Vector, sight: Vector, r: f64, s: f64, pieces: &mut Pieces) {
     let d = to_target_m.norm();
     let bearing_rad = sight.angle_rad();
     let angle = |adjacent: f64, other: f64, opposite: f64| {
         ((adjacent * adjacent + other * other - opposite * opposite) / (2.0 * adjacent * other)).clamp(-1.0, 1.0).acos()
     };
-    let mut pieces = Pieces::new();
     if s >= d + r {
-        return pieces;
+        return;
     }
     if s <= r - d {
         pieces.extend(Piece::arcs(Vector::default(), s, bearing_rad + PI, bearing_rad - PI));
-        return pieces;
+        return;
     }
     // On the way out to the tangents from the target the near side is the full step: headings from the line of sight.
     let tangent_rad = if d > r && s * s < (d - r) * (d + r) { (r / d).acos() } else { 0.0 };
@@ -198,7 +205,7 @@ fn disc(to_target_m: Vector, sight: Vector, r: f64, s: f64) -> Pieces {
     };
     if s <= d - r {
         pieces.extend(near(-tangent_rad, tangent_rad));
-        return pieces;
+        return;
     }
     let (heading_rad, turned_rad) = (angle(d, r, s), angle(d, s, r));
     if tangent_rad > heading_rad {
@@ -208,12 +215,10 @@ fn disc(to_target_m: Vector, sight: Vector, r: f64, s: f64) -> Pieces {
     if tangent_rad > heading_rad {
         pieces.extend(near(heading_rad, tangent_rad));
     }
-    pieces
 }
 
 /// For a robot whose neighbours leave it a convex polygon, counter-clockwise.
-fn cell(to_target_m: Vector, corners_m: &[Vector], s: f64) -> Pieces {
-    let mut pieces = Pieces::new();
+fn cell(to_target_m: Vector, corners_m: &[Vector], s: f64, pieces: &mut Pieces) {
     let mut marks_rad: SmallVec<[f64; 16]> = SmallVec::new();
     let next = |k: usize| corners_m[(k + 1) % corners_m.len()];
     for (k, corner) in corners_m.iter().enumerate() {
@@ -254,7 +259,6 @@ fn cell(to_target_m: Vector, corners_m: &[Vector], s: f64) -> Pieces {
         }
         from_rad = to_rad;
     }
-    pieces
 }
 
 /// Replaces each piece by parts of it.

@@ -11,6 +11,8 @@
 //! in the Bernstein basis `B_j`, whose members are positive. So what the others tell is at most `sum_j B_j H_j`, where `H_j` is
 //! the most that they can have of `g_j T + h_j . S`. With that, a polynomial is left that must not be negative.
 
+use std::cell::Cell;
+
 use smallvec::SmallVec;
 
 use super::curve::Curve;
@@ -50,7 +52,8 @@ struct Follow<'a> {
     aim: f64,
     /// The others have no lesser `T`.
     least_t: f64,
-    answer: &'a Answer,
+    /// Where the other robots had most at the last multiplier: the next one is not far from it.
+    near: &'a [Cell<f64>],
 }
 
 /// The part of the robot's interval in which the cost may be less than `aim`; `None` if it cannot anywhere. `rest` is about
@@ -62,10 +65,13 @@ pub(super) fn open_part(
     rest: Information,
     answer: &Answer,
     aim: f64,
+    near: &mut Vec<Cell<f64>>,
 ) -> Option<(f64, f64)> {
     let others = || team.fused().filter(|i| *i != robot);
     let least_t = others().fold(team.prior.t, |sum, i| sum + team.curves[i].least_t);
-    let follow = Follow { team, intervals, robot, aim, least_t, answer };
+    near.clear();
+    near.extend(answer.at.iter().copied().map(Cell::new));
+    let follow = Follow { team, intervals, robot, aim, least_t, near };
     let at = answer.at[robot];
     let curve = &team.curves[robot];
     let (low, high) = intervals[robot];
@@ -142,8 +148,8 @@ impl Follow<'_> {
             self.intervals,
             m,
             slack,
-            |i| self.answer.at[i],
-            |_, _| (),
+            |i| self.near[i].get(),
+            |i, support| self.near[i].set(support.at),
         )
     }
 

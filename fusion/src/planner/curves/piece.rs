@@ -24,22 +24,30 @@ impl Piece {
         Self { sight: [from, from + to, to], square, weight: [1.0, 2.0, 1.0] }
     }
 
-    /// The arc of the circle round `centre` between two angles, which are at most half a turn apart.
-    fn arc(centre: Vector, radius_m: f64, from_rad: f64, to_rad: f64) -> Self {
-        let middle = Vector::from_angle(0.5 * (from_rad + to_rad));
-        let weight = [1.0, 2.0 * (0.5 * (to_rad - from_rad)).cos(), 1.0];
-        let circle = [Vector::from_angle(from_rad), middle * 2.0, Vector::from_angle(to_rad)];
+    /// The arc of the circle round `centre` through these directions: `cos` is that of half its angle, which is at most a quarter
+    /// turn.
+    fn arc(centre: Vector, radius_m: f64, [from, middle, to]: [Vector; 3], cos: f64) -> Self {
+        let weight = [1.0, 2.0 * cos, 1.0];
+        let circle = [from, middle * 2.0, to];
         let squares_m2 = centre.norm_squared() + radius_m * radius_m;
         let sight = [0, 1, 2].map(|k| centre * weight[k] + circle[k] * radius_m);
         let square = [0, 1, 2].map(|k| squares_m2 * weight[k] + 2.0 * radius_m * centre.dot(circle[k]));
         Self { sight, square, weight }
     }
 
-    /// Pieces that make up the arc of the circle round `centre` between two angles.
+    /// Pieces that make up the arc of the circle round `centre` between two angles. Each turns the last direction on, since sines
+    /// take long.
     pub(super) fn arcs(centre: Vector, radius_m: f64, from_rad: f64, to_rad: f64) -> impl Iterator<Item = Self> {
         let count = ((to_rad - from_rad).abs() / ARC_MAX_RAD - 1e-9).ceil().max(1.0);
-        let at = move |k: f64| from_rad + (to_rad - from_rad) * (k / count);
-        (0..count as usize).map(move |k| Self::arc(centre, radius_m, at(k as f64), at(k as f64 + 1.0)))
+        let mut from = Vector::from_angle(from_rad);
+        let turn = Vector::from_angle(0.5 * (to_rad - from_rad) / count);
+        (0..count as usize).map(move |_| {
+            let middle = from.rotated_by(turn);
+            let to = middle.rotated_by(turn);
+            let piece = Self::arc(centre, radius_m, [from, middle, to], turn.x);
+            from = to;
+            piece
+        })
     }
 
     /// The sight at a parameter, m.

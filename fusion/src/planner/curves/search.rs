@@ -5,6 +5,7 @@
 //! simplicial decomposition finds. Where that point is no plan, the search splits the robot whose part of that point is
 //! farthest from its curve.
 
+use std::cell::Cell;
 use std::cmp::Ordering;
 use std::collections::BinaryHeap;
 
@@ -21,6 +22,10 @@ const AIM: f64 = 0.5 * GAP_MAX;
 
 /// Multipliers that are tried for one node.
 const MULTIPLIERS_MAX: usize = 40;
+
+/// A node is split when better multipliers could close no more than this part of the gap: its halves start with the same
+/// vertices, so what is left is not lost.
+const UNPROVEN_MAX: f64 = 0.25;
 
 /// How far the cost of a vertex may be above the answer, in parts of the gap, for a descent from there to be worth its time.
 const NEAR: f64 = 0.2;
@@ -63,6 +68,7 @@ struct Scratch {
     vertices: Vertices,
     found: Vertex,
     at: Vec<f64>,
+    near: Vec<Cell<f64>>,
 }
 
 #[derive(Debug, Default)]
@@ -194,7 +200,7 @@ fn halve(team: &Team, node: &Node, upper: bool, intervals: &mut Vec<(f64, f64)>)
 /// hulls, whose vertices are at hand, and improves the answer on the way.
 fn bound(team: &Team, node: &mut Node, scratch: &mut Scratch, answer: &mut Answer) -> bool {
     let Node { bound: least, intervals, .. } = node;
-    let Scratch { vertices, found, at } = scratch;
+    let Scratch { vertices, found, at, near } = scratch;
     let criterion = team.criterion;
     answer.nodes += 1;
     for vertex in vertices.iter_mut() {
@@ -235,7 +241,7 @@ fn bound(team: &Team, node: &mut Node, scratch: &mut Scratch, answer: &mut Answe
         }
         // No better multiplier proves much more.
         let left = criterion.cost(best) - bound;
-        if left <= 0.1 * (answer.cost - bound) || found.total.along(m) <= best.along(m) + slack {
+        if left <= UNPROVEN_MAX * (answer.cost - bound) || found.total.along(m) <= best.along(m) + slack {
             break;
         }
         vertices.push(found);
@@ -252,7 +258,7 @@ fn bound(team: &Team, node: &mut Node, scratch: &mut Scratch, answer: &mut Answe
     }
     let (robot, cut) = split(team, intervals, vertices, best);
     let middle = vertices.iter().fold(Information::default(), |sum, vertex| sum + vertex.parts[robot] * vertex.share);
-    if !narrow(team, intervals, robot, best - middle, answer) {
+    if !narrow(team, intervals, robot, best - middle, answer, near) {
         return false;
     }
     let (low, high) = intervals[robot];
@@ -263,9 +269,16 @@ fn bound(team: &Team, node: &mut Node, scratch: &mut Scratch, answer: &mut Answe
 }
 
 /// Leaves of a robot's interval what may have better answers, by multipliers that follow it; false if that is nothing.
-fn narrow(team: &Team, intervals: &mut [(f64, f64)], robot: usize, rest: Information, answer: &mut Answer) -> bool {
+fn narrow(
+    team: &Team,
+    intervals: &mut [(f64, f64)],
+    robot: usize,
+    rest: Information,
+    answer: &mut Answer,
+    near: &mut Vec<Cell<f64>>,
+) -> bool {
     let aim = answer.cost * (1.0 - AIM);
-    let left = follow::open_part(team, intervals, robot, rest, answer, aim);
+    let left = follow::open_part(team, intervals, robot, rest, answer, aim, near);
     if left != Some(intervals[robot]) {
         answer.bound = answer.bound.min(aim);
     }

@@ -44,10 +44,13 @@ impl Team {
         let team = &situation.team;
         self.criterion = situation.criterion;
         self.prior = Information::of_covariance(&situation.belief.position_covariance_m2());
-        self.curves.clear();
-        self.curves.extend(
-            team.iter().zip(&problem.reaches).map(|(member, reach)| Curve::of(member, reach, &problem.corners_m)),
-        );
+        self.curves.truncate(team.len());
+        for (i, (member, reach)) in team.iter().zip(&problem.reaches).enumerate() {
+            match self.curves.get_mut(i) {
+                Some(curve) => curve.pose(member, reach, &problem.corners_m),
+                None => self.curves.push(Curve::of(member, reach, &problem.corners_m)),
+            }
+        }
         self.whole.clear();
         self.whole.extend(self.curves.iter().map(|curve| (0.0, curve.end())));
         self.is_fused.clear();
@@ -100,18 +103,24 @@ impl Team {
     }
 
     /// The best place for one robot on an interval of its curve, given what the others tell; `now` if none is better.
-    pub(super) fn respond(&self, robot: usize, rest: Information, (low, high): (f64, f64), now: f64) -> f64 {
+    pub(super) fn respond(&self, robot: usize, rest: Information, interval: (f64, f64), now: f64) -> f64 {
+        let now = Place { at: now, information: self.curves[robot].information(now) };
+        self.respond_from(robot, rest, interval, now).at
+    }
+
+    fn respond_from(&self, robot: usize, rest: Information, (low, high): (f64, f64), now: Place) -> Place {
         let curve = &self.curves[robot];
         let (first, last) = (curve.piece_at(low).0, curve.piece_at(high).0);
-        let (mut best, mut best_cost) = (now, self.criterion.cost(rest + curve.information(now)));
+        let (mut best, mut best_cost) = (now, self.criterion.cost(rest + now.information));
         for index in first..=last {
             let base = Curve::base(index);
             let (from, to) = ((low - base).max(0.0), (high - base).min(1.0));
             for k in 0..=SAMPLES {
                 let u = from + (to - from) * (k as f64 / SAMPLES as f64);
-                let cost = self.criterion.cost(rest + curve.information_on(index, u));
+                let information = curve.information_on(index, u);
+                let cost = self.criterion.cost(rest + information);
                 if cost < best_cost {
-                    (best, best_cost) = (base + u, cost);
+                    (best, best_cost) = (Place { at: base + u, information }, cost);
                 }
             }
         }
@@ -119,9 +128,9 @@ impl Team {
     }
 
     /// The best place near the present one.
-    fn refine(&self, robot: usize, rest: Information, (low, high): (f64, f64), now: f64, width: f64) -> f64 {
+    fn refine(&self, robot: usize, rest: Information, (low, high): (f64, f64), now: Place, width: f64) -> Place {
         let curve = &self.curves[robot];
-        let (index, u) = curve.piece_at(now);
+        let (index, u) = curve.piece_at(now.at);
         let base = Curve::base(index);
         let (from, to) = ((low - base).max(u - width).max(0.0), (high - base).min(u + width).min(1.0));
         if from >= to {
@@ -136,7 +145,11 @@ impl Team {
         };
         let better = summit(fall, (from, to), u, 0.1 * width, FLAT * rest.t);
         let cost = |information: Information| self.criterion.cost(rest + information);
-        if cost(here) < cost(curve.information_on(index, u)) { base + better } else { now }
+        if better != u && cost(here) < cost(now.information) {
+            Place { at: base + better, information: here }
+        } else {
+            now
+        }
     }
 
     /// Improves the places robot by robot until nothing changes; returns what is known then. The first sweep looks at whole
@@ -145,18 +158,22 @@ impl Team {
         let mut total = self.total(at);
         let mut cost = self.criterion.cost(total);
         for sweep in 0..SWEEPS_MAX {
-            for i in self.fused() {
-                let rest = total - self.curves[i].information(at[i]);
-                let is_between = at[i] == at[i].trunc();
-                at[i] = if sweep == 0 || is_between {
-                    self.respond(i, rest, intervals[i], at[i])
-                } else {
-                    self.refine(i, rest, intervals[i], at[i], NEAR)
-                };
-                total = rest + self.curves[i].information(at[i]);
-            }
             // Summed anew: differences of sums would drift.
-            total = self.total(at);
+            let mut sum = self.prior;
+            for i in self.fused() {
+                let now = Place { at: at[i], information: self.curves[i].information(at[i]) };
+                let rest = total - now.information;
+                let is_between = at[i] == at[i].trunc();
+                let best = if sweep == 0 || is_between {
+                    self.respond_from(i, rest, intervals[i], now)
+                } else {
+                    self.refine(i, rest, intervals[i], now, NEAR)
+                };
+                at[i] = best.at;
+                total = rest + best.information;
+                sum += best.information;
+            }
+            total = sum;
             let after = self.criterion.cost(total);
             if cost - after <= SETTLED * after {
                 break;
@@ -165,4 +182,11 @@ impl Team {
         }
         total
     }
+}
+
+/// A place of a robot's curve.
+#[derive(Debug, Clone, Copy)]
+struct Place {
+    at: f64,
+    information: Information,
 }

@@ -196,7 +196,7 @@ proptest! {
         let rest = total - team.curves[robot].information(at[robot]);
         let aim = cost * factor;
         let answer = search::Answer { at, cost, ..search::Answer::default() };
-        let left = follow::open_part(&team, &whole, robot, rest, &answer, aim);
+        let left = follow::open_part(&team, &whole, robot, rest, &answer, aim, &mut Vec::new());
         for (at, total) in plans {
             let is_followed = left.is_none_or(|(low, high)| at[robot] < low || at[robot] > high);
             let cost = team.criterion.cost(total);
