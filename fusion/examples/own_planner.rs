@@ -38,7 +38,7 @@ impl Solver for BestReplies {
             *direction = arm.nearest(-others, arm.centre);
             sum = others + *direction * arm.lambda;
         }
-        // Headings, speeds and worth follow from the directions.
+        // Headings, speeds and the prediction follow from the directions.
         solution.complete(problem);
     }
 }

@@ -12,7 +12,7 @@ use rangehound_shared::scenario::{PlannerTable, defaults};
 use crate::arrays::{Numbers, array, each};
 use crate::errors::input;
 
-/// The headings of one step, and what they are worth.
+/// The headings of one step, and the objective that they reach.
 #[pyclass(frozen, module = "rangehound._native")]
 #[derive(Debug)]
 pub(crate) struct Plan {

@@ -49,7 +49,7 @@ pub(crate) struct History {
     truth: Vec<f64>,
     nis: Vec<f64>,
     counts: [Vec<u64>; 3],
-    worth: [Vec<f64>; 3],
+    planned: [Vec<f64>; 3],
     times_ns: [Vec<u64>; 2],
     position_m: Vec<f64>,
     believed_m: Vec<f64>,
@@ -107,9 +107,9 @@ impl History {
         self.nis.push(number(estimate.map(|estimate| estimate.nis)));
         let counts = estimate.map_or([0; 3], |estimate| [estimate.fused, estimate.rejected, estimate.missing]);
         self.counts.iter_mut().zip(counts).for_each(|(column, count)| column.push(count));
-        let worth = estimate.map(|estimate| [estimate.objective, estimate.lower_bound, estimate.least_trace_m2]);
-        let worth = worth.unwrap_or([f64::NAN; 3]);
-        self.worth.iter_mut().zip(worth).for_each(|(column, value)| column.push(value));
+        let planned = estimate.map(|estimate| [estimate.objective, estimate.lower_bound, estimate.least_trace_m2]);
+        let planned = planned.unwrap_or([f64::NAN; 3]);
+        self.planned.iter_mut().zip(planned).for_each(|(column, value)| column.push(value));
         let times_ns = estimate.map_or([0; 2], |estimate| [estimate.stages.last_range_ns, estimate.stages.sent_ns]);
         self.times_ns.iter_mut().zip(times_ns).for_each(|(column, time_ns)| column.push(time_ns));
         for robot in 0..self.robots {
@@ -163,7 +163,7 @@ impl History {
         for (name, column) in ["fused", "rejected", "missing"].into_iter().zip(self.counts) {
             dict.set_item(name, array(py, column, &[ticks])?)?;
         }
-        for (name, column) in ["objective", "lower_bound", "least_trace_m2"].into_iter().zip(self.worth) {
+        for (name, column) in ["objective", "lower_bound", "least_trace_m2"].into_iter().zip(self.planned) {
             dict.set_item(name, array(py, column, &[ticks])?)?;
         }
         for (name, column) in ["last_range_ns", "sent_ns"].into_iter().zip(self.times_ns) {

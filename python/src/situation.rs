@@ -140,7 +140,7 @@ impl Situation {
         let mut plan = planners::Plan::default();
         planner.plan(self.tick, &self.seen, &mut plan);
         let Distance { gap, .. } = CertifiedReference::for_robots(robots).map_err(input)?.measure(&self.seen, &plan);
-        Ok((plan.worth.objective, plan.worth.position_trace_m2, gap))
+        Ok((plan.predicted.objective, plan.predicted.position_trace_m2, gap))
     }
 
     /// The same as `evaluate`: its former name. Headings (M,), rad; speeds (M,), m/s.

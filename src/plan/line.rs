@@ -5,7 +5,9 @@ use std::ops::RangeInclusive;
 use std::time::Instant;
 
 use nalgebra::Matrix2;
-use rangehound_fusion::planner::{self, Certificate, Plan, Planner, Situation, TeamMember, Worth, hull_certificate};
+use rangehound_fusion::planner::{
+    self, Certificate, Plan, Planner, Predicted, Situation, TeamMember, hull_certificate,
+};
 use rangehound_fusion::vector::Vector;
 use rangehound_shared::ROBOTS_MAX;
 use rangehound_shared::message::Command;
@@ -102,10 +104,10 @@ impl LineSolver {
             planner,
             headings_rad: EachOf(&plan.commands, |command| command.heading_rad),
             speeds_mps: EachOf(&plan.commands, |command| command.speed_mps),
-            objective: plan.worth.objective,
+            objective: plan.predicted.objective,
             lower_bound: certificate.lower_bound,
             certified: certificate.is_optimal,
-            position_trace_m2: plan.worth.position_trace_m2,
+            position_trace_m2: plan.predicted.position_trace_m2,
             lower_bound_trace_m2: certificate.least_trace_m2,
             plan_us,
         };
@@ -125,7 +127,7 @@ impl LineSolver {
         kept.planner.plan(number, situation, plan);
         let plan_us = began.elapsed().as_nanos() as f64 / 1e3;
 
-        let Worth { objective, position_trace_m2, .. } = plan.worth;
+        let Predicted { objective, position_trace_m2, .. } = plan.predicted;
         // Planners that prove no bound get this one.
         let certificate = plan.certificate.unwrap_or_else(|| hull_certificate(situation, plan));
         let Certificate { lower_bound, least_trace_m2, .. } = certificate;

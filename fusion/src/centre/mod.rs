@@ -12,7 +12,7 @@ use rangehound_shared::sealed::SealError;
 use serde::{Deserialize, Serialize};
 
 use crate::past::Past;
-use crate::planner::{self, Certificate, Plan, Planner, PlannerError, Situation, TeamMember, Worth};
+use crate::planner::{self, Certificate, Plan, Planner, PlannerError, Predicted, Situation, TeamMember};
 use crate::tracker::Fit;
 use crate::tracking::Tracking;
 use crate::trust::Trust;
@@ -77,7 +77,7 @@ pub struct Saved<'a> {
     fit: Fit,
     judged: Cow<'a, [JudgedKinds]>,
     missing: u64,
-    worth: Worth,
+    predicted: Predicted,
     certificate: Option<Certificate>,
     bodies: Cow<'a, [Option<Body>]>,
     commands: Cow<'a, [Command]>,
@@ -189,7 +189,7 @@ impl Centre {
             fit: self.fit,
             judged: Cow::Borrowed(&self.judged),
             missing: self.missing,
-            worth: self.plan.worth,
+            predicted: self.plan.predicted,
             certificate: self.plan.certificate,
             bodies: Cow::Borrowed(&self.bodies),
             commands: Cow::Borrowed(&self.commands),
@@ -219,7 +219,7 @@ impl Centre {
         self.fit = restored.fit;
         self.judged = restored.judged.into_owned();
         self.missing = restored.missing;
-        self.plan.worth = restored.worth;
+        self.plan.predicted = restored.predicted;
         self.plan.certificate = restored.certificate;
         self.bodies = restored.bodies.into_owned();
         self.commands = restored.commands.into_owned();
@@ -458,7 +458,7 @@ impl Centre {
             rejected: u64::from(self.fit.rejected),
             missing: self.missing,
             distrusted: self.distrusted().map(RobotSet::to_bits),
-            objective: self.plan.worth.objective,
+            objective: self.plan.predicted.objective,
             lower_bound: certificate.map_or(f64::NEG_INFINITY, |proven| proven.lower_bound),
             least_trace_m2: certificate.map_or(0.0, |proven| proven.least_trace_m2),
             digest: [digest as u64, (digest >> 64) as u64],

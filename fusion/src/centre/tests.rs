@@ -297,7 +297,7 @@ fn a_distrusted_robot_is_planned_for_without_information_and_still_led() {
     // The certificate is that of the problem of the other three.
     let plan = centre.last_plan();
     let proven = plan.certificate.unwrap();
-    assert!(proven.is_optimal && proven.lower_bound <= plan.worth.objective);
+    assert!(proven.is_optimal && proven.lower_bound <= plan.predicted.objective);
     let (problem, mut solution) = (Problem::of(centre.situation()), Solution::default());
     Certified::new(2_000).solve(0, &problem, &mut solution);
     assert_eq!(solution.commands, plan.commands);

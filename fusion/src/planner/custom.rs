@@ -11,7 +11,7 @@ use super::{ForAnyTeam, Plan, Planner, PlannerError, Situation};
 /// zeroed, one for each member.
 pub type Choose = dyn FnMut(u64, &Situation, &mut [Command]) + Send;
 
-/// The planner round a function. The worth of its commands is computed as for the built-in planners; it proves nothing.
+/// The planner round a function. What its commands lead to is computed as for the built-in planners; it proves nothing.
 pub struct Custom {
     choose: Box<Choose>,
     valuer: ForAnyTeam,
@@ -80,7 +80,7 @@ mod tests {
         let mut plan = Plan { certificate: known.certificate, ..Plan::default() };
         custom.plan(0, &situation, &mut plan);
         assert_eq!((plan.commands, plan.certificate), (known.commands, None));
-        assert!((plan.worth.position_trace_m2 / known.worth.position_trace_m2 - 1.0).abs() < 1e-9);
+        assert!((plan.predicted.position_trace_m2 / known.predicted.position_trace_m2 - 1.0).abs() < 1e-9);
     }
 
     #[test]
@@ -97,6 +97,6 @@ mod tests {
         let mut plan = Plan::default();
         custom.plan(0, &situation, &mut plan);
         assert_eq!(plan.commands.iter().map(|command| command.speed_mps).collect::<Vec<_>>(), [2.0, 0.0, 0.0]);
-        assert!(plan.worth.position_trace_m2.is_finite());
+        assert!(plan.predicted.position_trace_m2.is_finite());
     }
 }

@@ -1,7 +1,7 @@
 //! Planners: each step they choose every robot's heading so that the trace of the target's
 //! position covariance after the next measurements is small (Eqs. 14-29).
 //!
-//! A [`Planner`] is asked with a [`Situation`] and answers with a [`Plan`]: commands, what they are worth, and a
+//! A [`Planner`] is asked with a [`Situation`] and answers with a [`Plan`]: commands, the information that they lead to, and a
 //! [`Certificate`] if it has proven how good others can be at best. Neither knows what the robots measure with; what follows
 //! from that is the planner's: [`range_only`] has those for teams that measure ranges of constant noise.
 //!
@@ -33,20 +33,20 @@ pub trait Planner: std::fmt::Debug + Send {
     fn plan(&mut self, tick: u64, situation: &Situation, plan: &mut Plan);
 }
 
-/// The commands of one step and what they are worth.
+/// The commands of one step, and the information that they lead to.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Plan {
     /// The command of each robot until it measures.
     pub commands: Vec<Command>,
     /// The predicted information about the target's position then, if all that will be fused is.
-    pub worth: Worth,
+    pub predicted: Predicted,
     /// How good other commands can be at best; `None` from planners that prove nothing.
     pub certificate: Option<Certificate>,
 }
 
-/// The worth of a plan: predicted information about the target's position.
+/// What a plan leads to: predicted information about the target's position.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
-pub struct Worth {
+pub struct Predicted {
     /// The minimised quantity. For teams of ranges alone the paper's `|S|`, the difference of the eigenvalues of the information,
     /// 1/m^2; for others the criterion's value.
     pub objective: f64,
@@ -60,7 +60,7 @@ pub struct Worth {
 /// A proof of how good commands can be at best.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Certificate {
-    /// No commands reach less of [`Worth::objective`].
+    /// No commands reach less of [`Predicted::objective`].
     pub lower_bound: f64,
     /// No commands lead to a lesser trace of the position covariance, m^2.
     pub least_trace_m2: f64,
@@ -104,7 +104,7 @@ pub fn for_team(spec: PlannerSpec, robots: usize, seed: u64) -> Result<Box<dyn P
 pub fn hull_certificate(situation: &Situation, plan: &Plan) -> Certificate {
     let problem = range_only::Problem::of(situation);
     if situation.is_range_only() {
-        range_only::hull_certificate(&problem, &plan.worth)
+        range_only::hull_certificate(&problem, &plan.predicted)
     } else {
         curves::hull_certificate(situation, &problem, plan)
     }
@@ -123,13 +123,13 @@ impl ForAnyTeam {
         Ok(Self { range_only, curves: Curves::new(spec) })
     }
 
-    /// Computes what the plan's commands are worth; proves nothing.
+    /// Computes what the plan's commands lead to; proves nothing.
     fn value(&mut self, situation: &Situation, plan: &mut Plan) {
         plan.certificate = None;
-        plan.worth = if situation.is_range_only() {
-            self.range_only.worth(situation, &plan.commands)
+        plan.predicted = if situation.is_range_only() {
+            self.range_only.predicted(situation, &plan.commands)
         } else {
-            curves::worth(situation, &plan.commands)
+            curves::predicted(situation, &plan.commands)
         };
     }
 }

@@ -50,8 +50,8 @@ impl CertifiedReference {
         // The paper's |S| may be zero, a criterion of other teams is not.
         let scale = if situation.is_range_only() { self.problem.lambda_sum() } else { best.lower_bound };
         Distance {
-            gap: ((plan.worth.objective - best.lower_bound) / scale).max(0.0),
-            trace_excess: (plan.worth.position_trace_m2 / best.least_trace_m2 - 1.0).max(0.0),
+            gap: ((plan.predicted.objective - best.lower_bound) / scale).max(0.0),
+            trace_excess: (plan.predicted.position_trace_m2 / best.least_trace_m2 - 1.0).max(0.0),
             certified: best.is_optimal,
         }
     }

@@ -159,8 +159,8 @@ impl Follow<'_> {
         let curve = &curves[self.robot];
         let price = criterion.price(self.aim);
         let quadratic = |p: Vector, q: Vector, rest: f64| {
-            let worth = criterion.worth(p, q) - price * rest;
-            (worth, -price * (1.0 + p.dot(q) + ROUNDING), (p + q) * -price)
+            let value = criterion.value(p, q) - price * rest;
+            (value, -price * (1.0 + p.dot(q) + ROUNDING), (p + q) * -price)
         };
         let apart = a.q + b.q * -1.0;
         // Between them, `H` of the product is at most that of the mean of both, less `|q_a - q_b|^2 / 2` of the least `T`.

@@ -93,10 +93,10 @@ pub(in crate::planner) trait Cost {
     fn bound(self, m: Vector, h: f64) -> f64;
 
     /// The same without a root: with `m = 2 q / (1 + |q|^2)` the cost is at least `c` if
-    /// `price(c) ((1 + |q|^2) T + 2 q . S) <= worth(q, q)`, and `worth` is linear in each of its two.
-    fn worth(self, q: Vector, other: Vector) -> f64;
+    /// `price(c) ((1 + |q|^2) T + 2 q . S) <= value(q, q)`, and `value` is linear in each of its two.
+    fn value(self, q: Vector, other: Vector) -> f64;
 
-    /// See [`Cost::worth`].
+    /// See [`Cost::value`].
     fn price(self, cost: f64) -> f64;
 }
 
@@ -128,7 +128,7 @@ impl Cost for Criterion {
         }
     }
 
-    fn worth(self, q: Vector, other: Vector) -> f64 {
+    fn value(self, q: Vector, other: Vector) -> f64 {
         match self {
             Self::Trace => 4.0,
             Self::Eigenvalue => 2.0 + 2.0 * q.dot(other),

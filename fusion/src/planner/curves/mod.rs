@@ -27,7 +27,7 @@ use rangehound_shared::message::Command;
 use rangehound_shared::scenario::{Criterion, PlannerSpec};
 
 use super::range_only::{Problem, RangeOnly};
-use super::{Certificate, Plan, Planner, Situation, Worth};
+use super::{Certificate, Plan, Planner, Predicted, Situation};
 use crate::vector::Vector;
 use information::{Cost, Information};
 use noise::Noise;
@@ -71,17 +71,17 @@ impl Curves {
                 total
             }
         };
-        plan.worth = worth_of(situation, total);
+        plan.predicted = predicted_of(situation, total);
     }
 }
 
-/// The worth of these commands.
-pub(super) fn worth(situation: &Situation, commands: &[Command]) -> Worth {
-    worth_of(situation, commanded(situation, situation.team.iter().map(Noise::of), commands))
+/// What these commands lead to.
+pub(super) fn predicted(situation: &Situation, commands: &[Command]) -> Predicted {
+    predicted_of(situation, commanded(situation, situation.team.iter().map(Noise::of), commands))
 }
 
-fn worth_of(situation: &Situation, total: Information) -> Worth {
-    Worth {
+fn predicted_of(situation: &Situation, total: Information) -> Predicted {
+    Predicted {
         objective: situation.criterion.cost(total),
         least_information_per_m2: total.least(),
         position_trace_m2: total.position_trace_m2(),
@@ -162,11 +162,11 @@ pub(super) fn hull_certificate(situation: &Situation, problem: &Problem, plan: &
     team.pose(situation, problem);
     let total = commanded(situation, team.curves.iter().map(|curve| curve.noise), &plan.commands);
     // Rounding may put a bound above what it bounds.
-    let lower_bound = team.bound(team.criterion, total).min(plan.worth.objective);
+    let lower_bound = team.bound(team.criterion, total).min(plan.predicted.objective);
     Certificate {
         lower_bound,
-        least_trace_m2: team.bound(Criterion::Trace, total).min(plan.worth.position_trace_m2),
-        is_optimal: plan.worth.objective - lower_bound <= search::GAP_MAX * plan.worth.objective,
+        least_trace_m2: team.bound(Criterion::Trace, total).min(plan.predicted.position_trace_m2),
+        is_optimal: plan.predicted.objective - lower_bound <= search::GAP_MAX * plan.predicted.objective,
     }
 }
 

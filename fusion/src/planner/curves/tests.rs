@@ -134,7 +134,7 @@ proptest! {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(1_000))]
 
-    /// The certified plan is worth what its commands lead to, is proven, and no other plan beats its bound.
+    /// The certified plan predicts what its commands lead to, is proven, and no other plan beats its bound.
     #[test]
     fn no_plan_beats_the_certified_bound(
         situation in situation(1..6), shares in proptest::collection::vec((0.0..1.0_f64, 0.0..1.0_f64), 40 * 6),
@@ -149,20 +149,20 @@ proptest! {
         team.pose(&situation, &problem);
         let total = commanded(&situation, team.curves.iter().map(|curve| curve.noise), &best.commands);
         // One bearing from next to the target outweighs all else by far.
-        let is_lopsided = best.worth.position_trace_m2 * total.t > 1e2;
-        prop_assert!(certificate.is_optimal || is_lopsided, "{:?} {certificate:?}", best.worth);
-        prop_assert!(certificate.lower_bound <= best.worth.objective);
-        prop_assert!(certificate.least_trace_m2 <= best.worth.position_trace_m2 * (1.0 + 1e-12));
-        let off = (situation.criterion.cost(total) / best.worth.objective - 1.0).abs();
+        let is_lopsided = best.predicted.position_trace_m2 * total.t > 1e2;
+        prop_assert!(certificate.is_optimal || is_lopsided, "{:?} {certificate:?}", best.predicted);
+        prop_assert!(certificate.lower_bound <= best.predicted.objective);
+        prop_assert!(certificate.least_trace_m2 <= best.predicted.position_trace_m2 * (1.0 + 1e-12));
+        let off = (situation.criterion.cost(total) / best.predicted.objective - 1.0).abs();
         prop_assert!(off < 1e-5, "{off} {best:?}");
         for spec in [PlannerSpec::Greedy, PlannerSpec::Pursue, PlannerSpec::Adaptive { iterations: 9, alpha: 0.5 }, PlannerSpec::Random] {
             let other = plan(spec, &situation);
             prop_assert_eq!(other.certificate, None);
             // Others may stop nearer to the target than the certified planner counts.
-            let is_beaten = other.worth.objective < certificate.lower_bound * (1.0 - 1e-9);
+            let is_beaten = other.predicted.objective < certificate.lower_bound * (1.0 - 1e-9);
             prop_assert!(!is_beaten || is_lopsided, "{spec:?}");
             let hull = crate::planner::hull_certificate(&situation, &other);
-            prop_assert!(hull.lower_bound <= best.worth.objective * (1.0 + 1e-9));
+            prop_assert!(hull.lower_bound <= best.predicted.objective * (1.0 + 1e-9));
         }
         for sample in shares.chunks(situation.team.len()).filter(|sample| sample.len() == situation.team.len()) {
             let mut total = team.prior;
@@ -240,7 +240,7 @@ proptest! {
         let mut over_curves = Plan::default();
         let mut range_only = RangeOnly::new(crate::planner::range_only::solver(CERTIFIED, robots.len(), 1).unwrap());
         Curves::new(CERTIFIED).plan(0, &situation, &mut range_only, &mut over_curves);
-        let (a, b) = (vectors.worth.position_trace_m2, over_curves.worth.position_trace_m2);
+        let (a, b) = (vectors.predicted.position_trace_m2, over_curves.predicted.position_trace_m2);
         prop_assert!((a / b - 1.0).abs() < 2e-6, "{a} {b}");
         let bound = over_curves.certificate.unwrap();
         prop_assert!(bound.is_optimal && bound.least_trace_m2 <= a * (1.0 + 1e-9), "{bound:?} {a} {b}");
@@ -288,7 +288,7 @@ fn a_camera_comes_nearer_and_a_robot_out_of_range_goes_straight_to_the_target() 
             Vector::new(20.0, 0.0) + Vector::from_angle(plan.commands[0].heading_rad) * plan.commands[0].speed_mps;
         assert!((end - Vector::new(15.0, 0.0)).norm() < 1e-3, "{end:?}");
         let is_in_range = sensor.reach_m() > 15.0;
-        assert_eq!(plan.worth.position_trace_m2 < 1.999, is_in_range, "{plan:?}");
+        assert_eq!(plan.predicted.position_trace_m2 < 1.999, is_in_range, "{plan:?}");
     }
 }
 
@@ -300,12 +300,12 @@ fn a_robot_that_is_not_fused_is_placed_and_not_counted() {
     let alone = plan(CERTIFIED, &situation);
     situation.team.push(TeamMember { is_fused: false, ..situation.team[0] });
     let both = plan(CERTIFIED, &situation);
-    assert_eq!(both.worth, alone.worth);
+    assert_eq!(both.predicted, alone.predicted);
     assert_eq!(both.commands[0], alone.commands[0]);
     assert!(both.commands[1].speed_mps > 0.0);
     situation.team.remove(0);
     let none = plan(CERTIFIED, &situation);
-    assert_eq!(none.worth.position_trace_m2, 2.0);
+    assert_eq!(none.predicted.position_trace_m2, 2.0);
     assert!(none.certificate.unwrap().is_optimal);
 }
 
@@ -315,7 +315,7 @@ fn a_robot_on_the_target_or_within_a_step_has_a_finite_plan() {
     for place in [Vector::default(), Vector::new(5.0, 0.0), Vector::new(1e-9, 0.0), Vector::new(-2.0, 1.0)] {
         for spec in [CERTIFIED, PlannerSpec::Greedy, PlannerSpec::Pursue, PlannerSpec::Random] {
             let plan = plan(spec, &lone(both, place));
-            let trace_m2 = plan.worth.position_trace_m2;
+            let trace_m2 = plan.predicted.position_trace_m2;
             assert!(trace_m2 > 0.0 && trace_m2.is_finite() && plan.commands[0].heading_rad.abs() <= PI, "{plan:?}");
         }
     }

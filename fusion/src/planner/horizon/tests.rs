@@ -187,7 +187,7 @@ fn run_trace_m2(spec: PlannerSpec, start: &Situation, seed: u64) -> f64 {
     let mut sum = 0.0;
     for tick in 0..TICKS {
         planner.plan(tick, &now, &mut plan);
-        sum += plan.worth.position_trace_m2;
+        sum += plan.predicted.position_trace_m2;
         let noises: Vec<Noise> = now.team.iter().map(Noise::of).collect();
         let at_rest = now.clone();
         let ahead = Ahead::<4> { situation: &at_rest, noises: &noises, transition: now.motion.transition(now.step_s) };

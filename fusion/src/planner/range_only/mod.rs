@@ -29,7 +29,7 @@ mod solution;
 use rangehound_shared::message::Command;
 use rangehound_shared::scenario::{PlannerSpec, defaults};
 
-use super::{Plan, Planner, PlannerError, Situation, Worth};
+use super::{Plan, Planner, PlannerError, Predicted, Situation};
 use crate::vector::Vector;
 pub use arm::{Arm, Extent};
 pub use problem::Problem;
@@ -79,8 +79,8 @@ impl RangeOnly {
         Self { solver, problem: Problem::default(), solution: Solution::default() }
     }
 
-    /// The worth of these commands.
-    pub(super) fn worth(&mut self, situation: &Situation, commands: &[Command]) -> Worth {
+    /// What these commands lead to.
+    pub(super) fn predicted(&mut self, situation: &Situation, commands: &[Command]) -> Predicted {
         let Self { problem, solution, .. } = self;
         problem.pose(situation);
         solution.directions.clear();
@@ -88,7 +88,7 @@ impl RangeOnly {
             reach.direction_after(Vector::from_angle(command.heading_rad) * (command.speed_mps * situation.step_s))
         }));
         solution.value(problem);
-        solution.worth()
+        solution.predicted()
     }
 }
 
@@ -101,7 +101,7 @@ impl Planner for RangeOnly {
         self.problem.pose(situation);
         self.solver.solve(tick, &self.problem, &mut self.solution);
         std::mem::swap(&mut plan.commands, &mut self.solution.commands);
-        plan.worth = self.solution.worth();
+        plan.predicted = self.solution.predicted();
         plan.certificate = self.solution.certificate(&self.problem);
     }
 }
@@ -256,16 +256,16 @@ mod tests {
                 planner.plan(0, &situation, &mut plan);
                 let problem = Problem::of(&situation);
                 let solution = solve(spec, &problem);
-                assert_eq!((&plan.commands, plan.worth), (&solution.commands, solution.worth()));
+                assert_eq!((&plan.commands, plan.predicted), (&solution.commands, solution.predicted()));
                 assert_eq!(plan.certificate, solution.certificate(&problem));
                 assert_eq!(plan.certificate.is_some(), spec.name() == "certified");
                 assert_eq!(problem.arms()[1].lambda, if is_fused { 1.0 } else { 0.0 });
                 assert!(plan.commands[1].speed_mps > 0.0);
                 // The bound of the hulls holds too, and is no better than the search's.
-                let hull = hull_certificate(&problem, &plan.worth);
+                let hull = hull_certificate(&problem, &plan.predicted);
                 let best = plan.certificate.unwrap_or(hull);
                 assert!(hull.lower_bound <= best.lower_bound);
-                assert!(best.least_trace_m2 > 0.0 && best.least_trace_m2 <= plan.worth.position_trace_m2);
+                assert!(best.least_trace_m2 > 0.0 && best.least_trace_m2 <= plan.predicted.position_trace_m2);
             }
         }
     }

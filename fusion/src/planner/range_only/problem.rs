@@ -287,7 +287,7 @@ mod tests {
             let b = correlation * (a * c).sqrt();
             let prior_information = inverse(Matrix2::new(a, b, b, c));
             // Straight from Eq. 13, without the closed forms.
-            let mut worths: Vec<(f64, f64)> = plans.iter().map(|&(t1, t2, t3)| {
+            let mut reached: Vec<(f64, f64)> = plans.iter().map(|&(t1, t2, t3)| {
                 let information = [t1, t2, t3].iter().fold(prior_information, |sum, theta| {
                     let e = Vector::from_angle(*theta);
                     sum + Matrix2::new(e.x * e.x, e.x * e.y, e.x * e.y, e.y * e.y)
@@ -295,9 +295,9 @@ mod tests {
                 let posterior = inverse(information);
                 (posterior.trace(), posterior.symmetric_eigenvalues().max())
             }).collect();
-            worths.sort_by(|x, y| x.0.total_cmp(&y.0));
-            for pair in worths.windows(2) {
-                prop_assert!(pair[0].1 <= pair[1].1 * (1.0 + 1e-9), "{worths:?}");
+            reached.sort_by(|x, y| x.0.total_cmp(&y.0));
+            for pair in reached.windows(2) {
+                prop_assert!(pair[0].1 <= pair[1].1 * (1.0 + 1e-9), "{reached:?}");
             }
         }
     }

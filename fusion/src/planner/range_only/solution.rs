@@ -4,7 +4,7 @@ use rangehound_shared::message::Command;
 
 use super::problem::trace_m2;
 use super::{Problem, certified};
-use crate::planner::{Certificate, Worth};
+use crate::planner::{Certificate, Predicted};
 use crate::vector::Vector;
 
 /// The answer to a [`Problem`].
@@ -43,7 +43,7 @@ impl Default for Solution {
 }
 
 impl Solution {
-    /// Derives commands and worth from [`Self::directions`] (Eq. 16).
+    /// Derives commands and prediction from [`Self::directions`] (Eq. 16).
     pub fn complete(&mut self, problem: &Problem) {
         self.commands.clear();
         let robots = problem.reaches.iter().zip(&self.directions);
@@ -81,9 +81,9 @@ impl Solution {
             && self.least_information_bound <= self.least_information * (1.0 + certified::TRACE_GAP_MAX)
     }
 
-    /// The plan's worth.
-    pub(super) fn worth(&self) -> Worth {
-        Worth {
+    /// What the plan leads to.
+    pub(super) fn predicted(&self) -> Predicted {
+        Predicted {
             objective: self.objective,
             least_information_per_m2: self.least_information,
             position_trace_m2: self.position_trace_m2,
@@ -104,10 +104,10 @@ impl Solution {
     }
 }
 
-/// The bound of the arcs' hulls for directions of this worth; it holds for every solver.
+/// The bound of the arcs' hulls for directions that lead to this; it holds for every solver.
 #[must_use]
-pub fn hull_certificate(problem: &Problem, worth: &Worth) -> Certificate {
-    let Worth { objective, least_information_per_m2: least_information, position_trace_m2 } = *worth;
+pub fn hull_certificate(problem: &Problem, predicted: &Predicted) -> Certificate {
+    let Predicted { objective, least_information_per_m2: least_information, position_trace_m2 } = *predicted;
     let mut solution = Solution { objective, least_information, position_trace_m2, ..Solution::default() };
     // Lowered by the rounding of its sums.
     let rounding = 4.0 * f64::EPSILON * problem.len() as f64 * problem.lambda_sum();
