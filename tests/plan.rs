@@ -496,7 +496,7 @@ fn the_grid_search_is_refused_for_a_camera() {
 }
 
 #[test]
-fn lines_without_end_depth_or_sense_do_no_harm() {
+fn overlong_nested_and_invalid_lines_are_refused() {
     let run = Run::new();
     let lines: [&[u8]; 9] = [
         b"\xff\xfe\x00",

@@ -3,7 +3,7 @@
 
     python3 tools/python_figures.py [WORDS]
 
-Measures the figures whose name has one of these words, or all: some twelve minutes. Run it with the interpreter of an
+Measures the figures whose name has one of these words, or all: some fifteen minutes. Run it with the interpreter of an
 environment that has the package, such as target/python-test/bin/python, on a quiet machine. Of `stonesoup` and of ROS 2 the
 figures are left out where they are not installed. The program `rangehound` is that of the variable RANGEHOUND, or on the path.
 Ends with 1 if a figure is missed.

@@ -52,7 +52,7 @@ impl<S: Copy + PartialEq, L: Copy + PartialEq> Standby<S, L> {
 
     /// True if the standby must wait for this lock from now on, because the lock that it waits for belongs to a deposed
     /// leader. `None` means that the run is being removed: then no standby takes the lead.
-    pub fn waits_anew(&mut self, lock: Option<L>) -> bool {
+    pub fn restart_wait(&mut self, lock: Option<L>) -> bool {
         let is_other = lock.is_some() && lock != self.awaited;
         if is_other {
             self.awaited = lock;
@@ -89,8 +89,8 @@ mod tests {
     #[test]
     fn a_standby_waits_for_the_leaders_lock() {
         let mut standby = standby("greedy");
-        assert!(!standby.waits_anew(Some(1)) && !standby.waits_anew(None));
-        assert!(standby.waits_anew(Some(2)) && !standby.waits_anew(Some(2)));
+        assert!(!standby.restart_wait(Some(1)) && !standby.restart_wait(None));
+        assert!(standby.restart_wait(Some(2)) && !standby.restart_wait(Some(2)));
     }
 
     #[test]

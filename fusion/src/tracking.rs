@@ -112,7 +112,7 @@ impl Tracking {
     ///
     /// # Errors
     /// If the saved state is not this tracker's.
-    pub(crate) fn process_again<'a>(
+    pub(crate) fn reprocess<'a>(
         &mut self,
         robot: usize,
         ticks: impl Iterator<Item = &'a mut PastTick>,

@@ -222,7 +222,7 @@ impl LatencyNodeArgs {
         let exchange = Exchange { transport, address, keys: &self.keys, ticks, dt_ns };
         match (self.robot, self.robots) {
             (Some(robot), _) => exchange.be_robot(robot),
-            (None, robots) => exchange.be_centre(robots.unwrap_or(0)),
+            (None, robots) => exchange.run_centre(robots.unwrap_or(0)),
         }
     }
 }

@@ -166,7 +166,7 @@ impl<'a> Driver<'a> {
                 log::warn!("fusion sent no heartbeat for {:?}: this standby takes its role", standby.silence_max());
                 return Ok(Some(lease));
             }
-            if standby.waits_anew(roster.file_of(Role::Fusion)) {
+            if standby.restart_wait(roster.file_of(Role::Fusion)) {
                 succession = roster.succeed(Role::Fusion);
             }
         }
@@ -301,7 +301,9 @@ impl<'a> Driver<'a> {
     fn tell(&self, notice: Notice) {
         let name_of = |id| self.scenario.name_of(id);
         match notice {
-            Notice::Missed { first, last } => log::warn!("missed ticks {first} to {last}"),
+            Notice::Missed { first, last } => log::warn!(
+                "fusion did not run at ticks {first} to {last}, because it was suspended or started late: it predicts through them"
+            ),
             Notice::Widened(kind, noise_scale) => log::warn!(
                 "most sensors fail the gate together: the filter assumes {noise_scale:.1} times their stated {} noise and \
                  distrusts no sensor",
@@ -319,7 +321,7 @@ impl<'a> Driver<'a> {
                 log::warn!("{} is trusted again: its last {RECENT} {}s passed the gate", name_of(id), kind.name());
             }
             Notice::Refused(refusal) => {
-                log::warn!("refused a range message ({}); further ones are counted in the report", refusal.name());
+                log::warn!("refused a robot's message: {}; the report counts further ones", refusal.name());
             }
         }
     }

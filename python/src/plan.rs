@@ -52,10 +52,10 @@ impl Plan {
             planner: planner.to_owned(),
             headings: plan.commands.iter().map(|command| command.heading_rad).collect(),
             speeds: plan.commands.iter().map(|command| command.speed_mps).collect(),
-            objective: plan.worth.objective,
+            objective: plan.predicted.objective,
             lower_bound: certificate.lower_bound,
             certified: certificate.is_optimal,
-            position_trace_m2: plan.worth.position_trace_m2,
+            position_trace_m2: plan.predicted.position_trace_m2,
             lower_bound_trace_m2: certificate.least_trace_m2,
             plan_us,
         }

@@ -396,6 +396,7 @@ def test_a_setpoint_is_a_velocity_only_while_all_is_well():
     setpoint = driven.setpoint(0.5)
     assert (setpoint.north_mps, round(setpoint.east_mps, 12), setpoint.yaw_rad) == (3.0, 0.0, 0.0)
     assert driven.setpoint(1.1) == STOP, "the command is old"
+    assert "follows the run" in driven.condition(0.5) and "no commands" in driven.condition(1.1)
     driven.command(math.pi / 2, 3.0, 2.0)
     assert driven.setpoint(1.9).north_mps == 3.0 and driven.setpoint(2.1) == STOP, "the link is lost"
     for other in (heartbeat(base_mode=1), heartbeat(mode="LOITER")):

@@ -153,8 +153,8 @@ Examples:
 const RESUME: &str = "Example, after all processes of the run were killed:
   rangehound resume runs/demo --name demo";
 
-const STATUS: &str = "A node is running, stopped (by a signal), hung (no heartbeat for a second)
-or gone. Nodes that do not run come first. More than 16 robots in the same state
+const STATUS: &str = "A node is running, stopped (by a signal), hung (no heartbeat for a second),
+gone, or elsewhere (in another PID namespace). Nodes that do not run come first. More than 16 robots in the same state
 share a line; --all and --json list each. A run is finishing while its nodes end
 and its recording is written.
 
@@ -193,7 +193,7 @@ is printed, and the exit code is 1.
 
 Examples:
   rangehound explore --seed 1 --seeds 20000
-  rangehound explore --seed 39 --seeds 1 --story   prints what each node did";
+  rangehound explore --seed 39 --seeds 1 --trace   prints what each node did";
 
 const LATENCY: &str = "It measures the whole system (simulator, fusion with filter, planner and
 checkpoints, robots) and two references that only exchange messages, over

@@ -43,7 +43,7 @@ impl ExperimentArgs {
         if self.robots.is_some() {
             if file.robot.is_some() || file.recording.is_some() {
                 return Err(Failure::input(
-                    "--robots is given, but the scenario does not count its robots: expected [robots] with a count",
+                    "--robots is given, but the scenario has [[robot]] or [recording]: leave it out, or use a scenario with [robots]",
                 ));
             }
             file.robots.get_or_insert_with(RobotsTable::default).count = self.robots;

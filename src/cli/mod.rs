@@ -80,7 +80,7 @@ pub enum Command {
     Replay(ReplayArgs),
     /// Continue a run from its checkpoints after all of its processes have ended
     Resume(ResumeArgs),
-    /// Show the state of a run: its tick, and which nodes are running, stopped, hung or gone
+    /// Show the state of a run: its tick, and which nodes are running, stopped, hung, gone or elsewhere
     Status(StatusArgs),
     /// Kill a node of a run, as a crash would; the run starts it again
     Kill(RemoteNodeArgs),

@@ -48,9 +48,12 @@ pub struct RobotArgs {
     /// Number of the robot in the team, from 0
     #[arg(long, value_name = "N", value_parser = whole, allow_negative_numbers = true)]
     pub id: u64,
-    /// The run
+    /// Name of the run to join; waits until the run exists [default: paper; with --connect the run of the gateway]
+    #[arg(long)]
+    pub name: Option<RunName>,
+    /// The process to end with
     #[command(flatten)]
-    pub node: NodeArgs,
+    pub parent: ParentArgs,
     /// Take part in a run on another host, through its gateway at this address
     #[arg(long, value_name = "HOST:PORT")]
     pub connect: Option<String>,
@@ -80,7 +83,7 @@ pub struct LatencyNodeArgs {
 #[derive(Debug, Args)]
 pub struct NodeArgs {
     /// Name of the run to join; waits until the run exists
-    #[arg(long, default_value = rangehound_shared::scenario::defaults::NAME)]
+    #[arg(long, default_value = defaults::NAME)]
     pub name: RunName,
     /// The process to end with
     #[command(flatten)]
@@ -131,16 +134,16 @@ impl RobotArgs {
     /// [`Failure`].
     pub fn carry_out(&self) -> Result<(), Failure> {
         let Some(connect) = &self.connect else {
-            return node::robot(&self.node.name, usize::try_from(self.id)?, self.node.parent.end_with);
+            let name = self.name.clone().map_or_else(|| defaults::NAME.parse().map_err(Failure::input), Ok)?;
+            return node::robot(&name, usize::try_from(self.id)?, self.parent.end_with);
         };
         let mut args: Vec<OsString> =
             vec!["robot".into(), "--id".into(), self.id.to_string().into(), "--connect".into(), connect.into()];
         if let Some(keys) = &self.keys {
             args.extend(["--keys".into(), keys.into()]);
         }
-        // The gateway's run, whatever its name, unless one is asked for.
-        if self.node.name.to_string() != rangehound_shared::scenario::defaults::NAME {
-            args.extend(["--name".into(), self.node.name.to_string().into()]);
+        if let Some(name) = &self.name {
+            args.extend(["--name".into(), name.to_string().into()]);
         }
         args.extend(self.allow_remote_control.then(|| "--allow-remote-control".into()));
         gateway::hand_over(args)

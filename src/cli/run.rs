@@ -34,7 +34,7 @@ pub struct ExperimentArgs {
     /// Seed of all random numbers
     #[arg(long, value_name = "N", value_parser = whole, allow_negative_numbers = true)]
     pub seed: Option<u64>,
-    /// Start of the next tick: by wall time (realtime), or by the answers of all nodes (lockstep)
+    /// Start of the next tick: by wall time (realtime), or by the answers of all robots (lockstep)
     #[arg(long, value_parser = CLOCKS)]
     pub clock: Option<Clock>,
     /// Planner: how headings are chosen
@@ -237,8 +237,8 @@ pub struct SupervisionArgs {
 /// Robots on other hosts.
 #[derive(Debug, Default, Args)]
 pub struct HostsArgs {
-    /// Start a gateway at this address: robots join from other hosts by `rangehound robot --connect`. Any address but one of
-    /// this machine's own (127.0.0.1) demands --keys
+    /// Start a gateway at this address: robots join from other hosts by `rangehound robot --connect`. Every address
+    /// except the loopback (127.0.0.1 or ::1) requires --keys
     #[arg(long, value_name = "ADDRESS:PORT")]
     pub listen: Option<SocketAddr>,
     /// With --listen: folder with the keys of this host, from `rangehound keys`

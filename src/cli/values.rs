@@ -31,7 +31,7 @@ const PLANNERS_DO: [&str; PLANNERS.len()] = [
 pub(super) const CLOCKS: OneOf<Clock> = OneOf(
     &[
         ("realtime", Clock::Realtime, "A tick starts every dt seconds of wall time, even if messages are missing"),
-        ("lockstep", Clock::Lockstep, "A tick starts as soon as all nodes have answered the previous one"),
+        ("lockstep", Clock::Lockstep, "A tick starts as soon as all robots have answered the previous one"),
     ],
     &[],
 );

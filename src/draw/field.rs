@@ -224,7 +224,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_is_nowhere_and_has_a_square_all_the_same() {
+    fn an_empty_field_has_the_default_square() {
         assert_eq!(Square::around(&[]).ranges(), (-1.0..1.0, -1.0..1.0));
     }
 }

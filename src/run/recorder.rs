@@ -281,7 +281,7 @@ impl<'a> Recorder<'a> {
                 }
                 if termination.requested() && asked.get_or_insert_with(Instant::now).elapsed() > CATCH_UP {
                     log::warn!(
-                        "the recording was asked to end before it was complete: it has no tick from {} on: `rangehound record {}` makes a complete one",
+                        "the recording was stopped early: it ends before tick {}: `rangehound record {}` writes a complete one",
                         self.next,
                         made::from_here(&self.description.out_dir).display()
                     );

@@ -107,7 +107,7 @@ pub fn restart(name: Option<&RunName>, node: Role, json: bool) -> Result<(), Fai
                 let (name, pid) = (run.name().to_string(), now.pid().map(Pid::as_raw_pid));
                 return print_json(&json!({ "name": name, "node": node, "pid": pid, "starts": starts }));
             }
-            return print(format!("{node} is now {now}, start {starts}\n"));
+            return print(format!("{node} is now {now}, started {} so far\n", counted(starts, "time")));
         }
         if began.elapsed() > REQUEST_TIMEOUT {
             return Err(Failure::Running(anyhow!(

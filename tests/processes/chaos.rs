@@ -81,7 +81,7 @@ fn invalid_values_are_refused_before_anything_starts() {
         ),
         ("chaos --longest-stop 0", "--longest-stop is 0: expected 0.01 to 60 s"),
         ("chaos --roles standby", "expected --standby 1 or more"),
-        ("chaos --timeout 1", "--timeout is finite: expected forever"),
+        ("chaos --timeout 1", "--timeout is given in seconds: expected forever"),
         ("chaos --kinds cut", "expected --hosts 2 or more"),
         ("chaos --roles gateway", "expected --hosts 2 or more"),
         ("chaos --hosts 1", "--hosts is 1: expected 2 to 3"),

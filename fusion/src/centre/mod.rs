@@ -320,7 +320,7 @@ impl Centre {
         if report.count() == 0 {
             return Late::Nothing;
         }
-        match self.tracking.process_again(id, past.since(tick)) {
+        match self.tracking.reprocess(id, past.since(tick)) {
             Ok(true) => Late::Fused,
             Ok(false) => Late::Rejected,
             Err(_) => {

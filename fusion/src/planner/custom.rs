@@ -65,7 +65,7 @@ mod tests {
     use nalgebra::Matrix2;
 
     #[test]
-    fn commands_from_outside_are_worth_what_the_same_commands_of_a_built_in_planner_are() {
+    fn commands_of_a_function_are_predicted_like_those_of_a_built_in_planner() {
         let at = |x, y| TeamMember::ranging(Vector::new(x, y), 9.0, 0.5);
         let situation = Situation {
             belief: Belief::of_position(Vector::default(), &Matrix2::new(3.0, 0.4, 0.4, 1.0)),

@@ -37,7 +37,7 @@ impl<T, E: std::fmt::Display, F: Fn(Option<&Path>) -> Result<T, E>> Renewed<T, F
                     self.made = made;
                     log::info!("--keys has changed: its new keys are used from now on");
                 }
-                Err(error) => log::warn!("--keys has changed, and the keys before are still used: {error}"),
+                Err(error) => log::warn!("--keys has changed, but cannot be used: {error}; the old keys stay in use"),
             }
         }
         &self.made

@@ -117,7 +117,7 @@ impl Exchange<'_> {
     ///
     /// # Errors
     /// [`ReferenceError`].
-    pub fn be_centre(&self, robots: usize) -> Result<(), ReferenceError> {
+    pub fn run_centre(&self, robots: usize) -> Result<(), ReferenceError> {
         match self.transport {
             Transport::Udp => self.collect_and_answer(&mut udp::Centre::open(self, robots)?, robots),
             Transport::Quic => self.collect_and_answer(&mut quic::Centre::open(self)?, robots),

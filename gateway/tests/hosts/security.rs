@@ -458,7 +458,7 @@ fn renewed_keys_are_read_again_by_gateway_and_robot() {
         renew(host, path);
     }
     for text in [robot.stderr(), supervisor.stderr()] {
-        let bad: Vec<&str> = text.lines().filter(|line| line.contains("keys before are still used")).collect();
+        let bad: Vec<&str> = text.lines().filter(|line| line.contains("the old keys stay in use")).collect();
         assert!(!bad.is_empty() && bad.iter().any(|line| line.contains("host.pem")), "{text}");
     }
     run.finish_ok(&format!("stop --name {}", run.name));

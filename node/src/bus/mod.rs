@@ -170,7 +170,7 @@ impl Bus {
 
     /// Removes what killed nodes of this run left behind, to free their ports. Returns how many nodes could not be cleaned
     /// up. Takes tens of milliseconds per node: for a supervisor, never for a node on the control path.
-    pub fn clean_up_after_the_dead(&self) -> u64 {
+    pub fn clean_up_dead_nodes(&self) -> u64 {
         let clean = || self.node.blocking_cleanup_dead_nodes(Duration::from_secs(1)).failed_cleanups;
         if clean() == 0 {
             return 0;
@@ -180,7 +180,7 @@ impl Bus {
         let _ = Node::<Service>::list(self.node.config(), |node| {
             if let NodeState::Dead(dead) = node {
                 let tags = remove_tags(&std::path::Path::new(&folder).join(dead.id().value().to_string()));
-                log::debug!("node {}: {tags} tags in the way of its cleaning removed", dead.id().value());
+                log::debug!("removed {tags} stale tags of the dead node {}", dead.id().value());
             }
             CallbackProgression::Continue
         });

@@ -40,7 +40,7 @@ impl RunDescription {
             serde_json::from_str::<Document>(&text).map_err(|error| SealError::Unencodable(error.to_string()))?;
         match text.len() {
             _ if read.description != *self => {
-                Err(SealError::Unencodable("it has a number that JSON does not have".to_owned()))
+                Err(SealError::Unencodable("it has a NaN or an infinite number".to_owned()))
             }
             len if len > sealed::FILE_LEN_MAX => Err(SealError::TooLarge(len)),
             _ => Ok(text),

@@ -339,8 +339,8 @@ impl Rendezvous {
 
     /// Removes files that a killed process had not finished creating, so that no process waits for them. For
     /// a supervisor, after each death.
-    pub fn remove_half_made(&self) {
-        self.place.remove_half_made();
+    pub fn remove_incomplete(&self) {
+        self.place.remove_incomplete();
     }
 
     /// Removes the permissions of other users from all shared memory of this run.

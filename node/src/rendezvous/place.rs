@@ -182,7 +182,7 @@ impl Place {
     /// Removes shared memory that a killed process had not finished creating: files of this run with
     /// length zero that no process holds open. iceoryx2 would wait without end for such a file to be
     /// finished, if it may open it at all.
-    pub(super) fn remove_half_made(&self) {
+    pub(super) fn remove_incomplete(&self) {
         for entry in std::fs::read_dir(SHARED_MEMORY).into_iter().flatten().flatten() {
             let is_ours = entry.file_name().as_encoded_bytes().starts_with(self.prefix.as_bytes());
             if is_ours && entry.metadata().is_ok_and(|file| file.is_file() && file.len() == 0) {

@@ -136,6 +136,10 @@ class Vehicle:
         """True if heartbeat and position are fresh."""
         return now_s - min(self._heard_s, self._placed_s) <= self.settings.silence_s
 
+    def is_commanded(self, now_s: float) -> bool:
+        """True if the newest command is fresh."""
+        return self._command is not None and now_s - self._command[0] <= self.settings.hold_s
+
     def follows(self) -> bool:
         """True if the vehicle follows setpoints: it is armed and in such a mode."""
         return self.is_armed and self.mode in MODES
@@ -152,14 +156,16 @@ class Vehicle:
             return f"vehicle {self.system} is not armed, mode {self.mode}: nothing drives until it is armed and in GUIDED or OFFBOARD"
         if self.mode not in MODES:
             return f"vehicle {self.system} is armed, mode {self.mode}: nothing drives until it is in GUIDED or OFFBOARD"
+        if not self.is_commanded(now_s):
+            return f"vehicle {self.system} stands still, mode {self.mode}: no commands come from the run"
         return f"vehicle {self.system} follows the run, mode {self.mode}"
 
     def setpoint(self, now_s: float) -> Setpoint:
         """The setpoint for now: to stand still unless the vehicle follows, the link stands and the command is fresh."""
-        if self._command is None or not self.follows() or not self.is_linked(now_s):
+        if self._command is None or not self.is_commanded(now_s) or not self.follows() or not self.is_linked(now_s):
             return STOP
-        given_s, heading_rad, speed_mps = self._command
-        if now_s - given_s > self.settings.hold_s or speed_mps <= 0:
+        _, heading_rad, speed_mps = self._command
+        if speed_mps <= 0:
             return STOP
         return Setpoint(*frames.velocity_ned(heading_rad, speed_mps), frames.yaw_of_heading(heading_rad))
 

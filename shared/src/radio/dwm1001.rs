@@ -155,7 +155,7 @@ mod tests {
     }
 
     #[test]
-    fn the_shell_itself_is_passed_over() {
+    fn prompts_and_echoed_commands_are_skipped() {
         for line in ["", "dwm>", "dwm> ", "dwm> lec", "dwm> dwm> les", "lec", " DWM1001 TWR Real Time Location System"]
         {
             assert_eq!(read(line, &mut Vec::new()), Ok(false), "{line}");

@@ -205,7 +205,7 @@ fn a_first_row_of_values_is_no_header_though_it_holds_the_numbers_of_columns() {
 }
 
 #[test]
-fn rivals_for_a_column_are_asked_about() {
+fn two_columns_that_fit_one_role_are_refused() {
     let text = "time_s,anchor,sensor_x_m,sensor_y_m,distance_m,slant_distance_m\n0,A,0,0,1,2\n0,B,0,0,1,2\n";
     let complaint = complaint(text, &ReadOptions::default());
     assert!(

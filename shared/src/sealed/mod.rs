@@ -38,7 +38,7 @@ pub enum SealError {
     #[error("damaged: its checksum does not match")]
     Damaged,
     /// Undamaged, but not a value of the expected kind.
-    #[error("holds no value of the expected kind")]
+    #[error("has other contents than expected")]
     Malformed,
     /// The value is larger than readers accept.
     #[error("a value of {0} bytes, expected at most {VALUE_LEN_MAX}")]

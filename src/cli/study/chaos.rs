@@ -160,7 +160,7 @@ impl ChaosArgs {
         let forever = TimeoutKey::Word("forever".to_owned());
         if given.timeout.as_ref().is_some_and(|timeout| *timeout != forever) {
             return Err(Failure::input(
-                "--timeout is finite: expected forever, because a run that goes on without a node has another digest",
+                "--timeout is given in seconds: expected forever, because `chaos` waits for every node that it has hit",
             ));
         }
         let (name, reserved) = match &given.name {

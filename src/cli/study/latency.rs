@@ -36,7 +36,7 @@ pub struct LatencyArgs {
     /// Number of time steps of each round [default: 5000 in lock step, 10 s in real time]
     #[arg(long, value_name = "N", value_parser = whole, allow_negative_numbers = true)]
     pub ticks: Option<u64>,
-    /// Start of the next tick: by wall time (realtime), or by the answers of all nodes (lockstep) [default: realtime if --rate is given, else lockstep]
+    /// Start of the next tick: by wall time (realtime), or by the answers of all robots (lockstep) [default: realtime if --rate is given, else lockstep]
     #[arg(long, value_parser = CLOCKS)]
     pub clock: Option<Clock>,
     /// Ticks per second in real time [default: the scenario's]

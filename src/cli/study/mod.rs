@@ -76,8 +76,8 @@ pub struct ExploreArgs {
     #[arg(long, value_name = "COUNT", value_parser = whole, allow_negative_numbers = true, default_value_t = 20_000)]
     pub seeds: u64,
     /// Print what each node did
-    #[arg(long)]
-    pub story: bool,
+    #[arg(long, alias = "story")]
+    pub trace: bool,
 }
 
 impl PlanArgs {
@@ -133,6 +133,6 @@ impl ExploreArgs {
     /// # Errors
     /// [`Failure`].
     pub fn carry_out(&self) -> Result<(), Failure> {
-        explore::explore(self.seed, self.seeds, self.story)
+        explore::explore(self.seed, self.seeds, self.trace)
     }
 }

@@ -57,7 +57,7 @@ impl Path {
                 },
             };
             let Kind::Message(of) = path.kind else {
-                return Err(format!("{text:?} is no field: {name:?} is below a field that is no message"));
+                return Err(format!("{text:?} is no field: what is before {name:?} has no fields of its own"));
             };
             let fields = types.fields(of);
             let Some(place) = fields.iter().position(|field| field.name == name) else {

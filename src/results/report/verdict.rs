@@ -263,8 +263,8 @@ impl Symptoms {
             Some(misfit) => {
                 let (assumed, flags) = (evidence.assumed_noise(), evidence.flags_of_noise(misfit));
                 format!(
-                    "the {measured} differ from what is expected by {misfit:.1} times the assumed {assumed}: a bias, sensors \
-                     in the wrong place, or more noise ({flags}){}",
+                    "the {measured} are off by {misfit:.1} times what the assumed {assumed} allows: a bias, sensors in the wrong \
+                     place, or more noise (try {flags}){}",
                     if evidence.has_bearings() { "" } else { "; `rangehound calibrate` shows which" }
                 )
             }

@@ -24,7 +24,7 @@ impl Cleaner {
             while received.recv().is_ok() {
                 // One round for all deaths so far.
                 while received.try_recv().is_ok() {}
-                left = bus.clean_up_after_the_dead();
+                left = bus.clean_up_dead_nodes();
             }
             if left > 0 {
                 log::warn!("{left} dead nodes are not cleaned up yet; they are removed at the end of the run");

@@ -61,9 +61,8 @@ impl Losses {
             {
                 file.is_lost = true;
                 let Watched { path, role, is_log, .. } = file;
-                let without = if *is_log { "its report ends here" } else { "killing NODE would end it" };
-                let without = without.replace("NODE", &role.to_string());
-                log::warn!("{}: {reason}; the run goes on without it, but {without}", path.display());
+                let but = if *is_log { "its report ends here".to_owned() } else { format!("it would end if {role} died") };
+                log::warn!("{}: {reason}; the run continues, but {but}: check the disk", path.display());
             }
         }
     }

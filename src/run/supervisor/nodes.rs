@@ -198,7 +198,7 @@ impl<'a> Nodes<'a> {
                 return Ok(Some(removed));
             }
             self.last_death = Some(Instant::now());
-            self.rendezvous.remove_half_made();
+            self.rendezvous.remove_incomplete();
             self.cleaner.request();
             let node = &mut self.nodes[index];
             node.last_end = format!("{} {}", node.summary.title(), describe(status));
@@ -244,7 +244,7 @@ impl<'a> Nodes<'a> {
             }
         }
         if self.last_death.is_some_and(|at| at.elapsed() < HALF_MADE) {
-            self.rendezvous.remove_half_made();
+            self.rendezvous.remove_incomplete();
         }
         Ok(None)
     }
@@ -289,7 +289,7 @@ impl<'a> Nodes<'a> {
         self.wait_for_all();
         self.signal(Signal::KILL);
         self.wait_for_all();
-        self.rendezvous.remove_half_made();
+        self.rendezvous.remove_incomplete();
         self.cleaner.request();
     }
 

@@ -285,7 +285,7 @@ mod tests {
     }
 
     #[test]
-    fn several_are_at_least_two_and_different() {
+    fn a_fault_of_several_nodes_hits_at_least_two_different_ones() {
         for fault in faults(3, |asked| asked.kinds = Some(vec![Kind::Several])) {
             let mut targets = fault.targets.clone();
             targets.sort();

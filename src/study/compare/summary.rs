@@ -283,7 +283,7 @@ impl Display for Comparison {
             f,
             "
 Trace and variance (largest eigenvalue) of the position covariance: median over
-the runs, at the end and its mean over time. Errors, ANEES and NIS hold all
+the runs, at the end and its mean over time. Errors, ANEES and NIS include all
 runs, diverged ones too; ANEES and NIS are ideally 1, and at one tick 95 % of
 consistent filters have an ANEES from {low:.2} to {high:.2}. Diverged: over {DIVERGED_ERROR_M} m off
 in the mean of the last {DIVERGED_TICKS} ticks. Trace above optimum: against the least trace

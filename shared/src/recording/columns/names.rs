@@ -218,7 +218,7 @@ mod tests {
     }
 
     #[test]
-    fn own_names_are_surer_than_common_ones() {
+    fn exact_column_names_rank_before_common_ones() {
         assert_eq!(Kind::Log.rank(Role::Range, "Range_m"), Some(0));
         assert_eq!(Kind::Log.rank(Role::Range, "distance"), Some(1));
         assert_eq!(Kind::Log.rank(Role::Range, "d (mm)"), Some(2));

@@ -33,7 +33,7 @@ export class Processes {
     this.remote = new Set((status.gateway?.robots ?? []).map((remote) => `robot-${remote.robot}`));
     this.hasSupervisor = status.nodes.some((node) => node.name === SUPERVISOR && node.pid != null);
     const standbys = status.standbys ? `, ${status.standbys} standing by` : "";
-    this.leads.textContent = status.nodes.every((node) => node.state === "ended") ? "" : status.leader == null ? (status.nodes.some((node) => node.name === "fusion" && node.state === "elsewhere") ? `fusion leads from another PID namespace${standbys}` : "nobody leads") : `fusion leads as ${status.leader}${standbys}`;
+    this.leads.textContent = status.nodes.every((node) => node.state === "ended") ? "" : status.leader == null ? (status.nodes.some((node) => node.name === "fusion" && node.state === "elsewhere") ? `fusion leads from another PID namespace${standbys}` : "nobody leads") : `fusion: process ${status.leader} leads${standbys}`;
     const names = new Set(this.nodes.map((node) => node.name));
     for (const [name, row] of this.rows) {
       if (!names.has(name)) {

@@ -64,7 +64,7 @@ impl Cluster<'_> {
                 return Ok(self.take_lead(node, Some(lease)));
             }
         }
-        if standby.waits_anew(Some(self.lead.lock)) {
+        if standby.restart_wait(Some(self.lead.lock)) {
             *waits_for = self.lead.lock;
             if self.lead.is_free(*waits_for) {
                 return Ok(self.take_lead(node, None));

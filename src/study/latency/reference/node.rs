@@ -36,12 +36,12 @@ pub fn latency_node(
     let silence = SILENCE + Duration::from_nanos(dt_ns(scenario).unwrap_or(0));
     match (reference, robot) {
         (Reference::Iceoryx2, None) => {
-            be_centre(iceoryx2::Centre::open(&run, &termination, silence)?, scenario)?;
+            run_centre(iceoryx2::Centre::open(&run, &termination, silence)?, scenario)?;
         }
         (Reference::Iceoryx2, Some(id)) => {
             be_robot(iceoryx2::Robot::open(&run, id, &termination, silence)?, id, scenario)?;
         }
-        (Reference::Futex, None) => be_centre(futex::Centre::open(&run, &termination, silence)?, scenario)?,
+        (Reference::Futex, None) => run_centre(futex::Centre::open(&run, &termination, silence)?, scenario)?,
         (Reference::Futex, Some(id)) => be_robot(futex::Robot::open(&run, &termination, silence)?, id, scenario)?,
         (Reference::Udp | Reference::Quic | Reference::Zenoh, _) => {
             return Err(Failure::input("--reference: expected iceoryx2 or futex; rangehound-gateway does the others"));
@@ -51,7 +51,7 @@ pub fn latency_node(
 }
 
 /// Waits for all ranges, answers all robots, and announces when the next range is due.
-fn be_centre(mut link: impl Centre, scenario: &Scenario) -> anyhow::Result<()> {
+fn run_centre(mut link: impl Centre, scenario: &Scenario) -> anyhow::Result<()> {
     let dt_ns = dt_ns(scenario);
     let mut due_ns = wait_for_start()?;
     for tick in 1..=scenario.ticks {
