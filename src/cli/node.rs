@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 use rangehound_node::rendezvous::{Rendezvous, Role, RunDescription};
 use rangehound_shared::run_name::RunName;
-use rangehound_shared::scenario::{Scenario, Source};
+use rangehound_shared::scenario::{Scenario, Source, defaults};
 
 use super::ExperimentArgs;
 use super::values::{REFERENCES, whole};

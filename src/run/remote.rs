@@ -16,6 +16,7 @@ use crate::failure::{Failure, print, print_json};
 use crate::run::gateway;
 use crate::run::node::input_or_running;
 use crate::run::watch;
+use crate::terminal::counted;
 
 /// Time-out of a request.
 const REQUEST_TIMEOUT: Duration = Duration::from_secs(10);

@@ -83,7 +83,11 @@ impl Facts {
         Status {
             name: "rangehound: estimate",
             level: u8::from(!is_well),
-            message: if is_well { "all fused at this tick" } else { "measurements are missing or rejected, or robots are distrusted" },
+            message: if is_well {
+                "all fused at this tick"
+            } else {
+                "measurements are missing or rejected, or robots are distrusted"
+            },
             values,
         }
     }
@@ -117,7 +121,10 @@ mod tests {
         let stages = Stages { last_range_ns: 1_000, sent_ns: 13_340, ..Stages::default() };
         let heard = [Some((7, Use::Fused)), None, Some((7, Use::Distrusted)), Some((9, Use::Fused))];
         let status = Facts::of(7, 600, &record(2, stages, &heard)).status(3);
-        assert_eq!((status.level, status.message), (1, "measurements are missing or rejected, or robots are distrusted"));
+        assert_eq!(
+            (status.level, status.message),
+            (1, "measurements are missing or rejected, or robots are distrusted")
+        );
         let expected = [
             ("tick", "7"),
             ("ticks", "600"),

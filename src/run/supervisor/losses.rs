@@ -61,7 +61,8 @@ impl Losses {
             {
                 file.is_lost = true;
                 let Watched { path, role, is_log, .. } = file;
-                let but = if *is_log { "its report ends here".to_owned() } else { format!("it would end if {role} died") };
+                let but =
+                    if *is_log { "its report ends here".to_owned() } else { format!("it would end if {role} died") };
                 log::warn!("{}: {reason}; the run continues, but {but}: check the disk", path.display());
             }
         }
