@@ -154,9 +154,9 @@ const RESUME: &str = "Example, after all processes of the run were killed:
   rangehound resume runs/demo --name demo";
 
 const STATUS: &str = "A node is running, stopped (by a signal), hung (no heartbeat for a second),
-gone, or elsewhere (in another PID namespace). Nodes that do not run come first. More than 16 robots in the same state
-share a line; --all and --json list each. A run is finishing while its nodes end
-and its recording is written.
+gone, or elsewhere (in another PID namespace). Nodes that do not run come first.
+More than 16 robots in the same state share a line; --all and --json list each.
+A run is finishing while its nodes end and its recording is written.
 
 Examples:
   rangehound status

@@ -73,7 +73,7 @@ fn invalid_values_are_refused_before_anything_starts() {
         ("latency --rounds 0", "--rounds is 0: expected 1 to 1000"),
         ("latency --rate 0", "--rate is 0: expected 0.001 to 10000 Hz"),
         ("latency --rate nan", "--rate is NaN: expected 0.001 to 10000 Hz"),
-        ("latency --rate 10 --clock lockstep", "expected --clock realtime"),
+        ("latency --rate 10 --clock lockstep", "add --clock realtime"),
         ("latency --robots 0", "--robots is 0: expected a whole number from 1 to 1024"),
         ("latency --ticks 100000000", "--ticks is 100000000: expected at most"),
         ("latency --pin all", "expected none, one-core, or processors by number"),

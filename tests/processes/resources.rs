@@ -110,7 +110,7 @@ fn with_a_full_disk_the_tracking_goes_on_and_the_user_is_warned() {
     assert!(!outcome.stderr.contains("listed: "), "{outcome:#?}");
     for file in ["estimate.ticks", "world.ticks"] {
         let is_reported =
-            outcome.stderr.lines().any(|line| line.contains(file) && line.contains("the run goes on without it"));
+            outcome.stderr.lines().any(|line| line.contains(file) && line.contains("the run continues, but"));
         assert!(is_reported, "{file}: {outcome:#?}");
     }
     // It wrote the report of the ticks it had, and no node was started again: all went on to the end.
@@ -161,7 +161,7 @@ fn without_its_folder_a_run_goes_on_until_it_would_need_it() {
     std::fs::remove_dir_all(run.path("out")).unwrap();
     for file in ["estimate.ticks", "world.ticks", "sim.checkpoint", "fusion.checkpoint"] {
         run.wait_until(&format!("the loss of {file} is reported"), || {
-            supervisor.stderr().lines().any(|line| line.contains(file) && line.contains("the run goes on without it"))
+            supervisor.stderr().lines().any(|line| line.contains(file) && line.contains("the run continues, but"))
         });
     }
     signal(run.pid_of("robot-1", 1), Signal::KILL);

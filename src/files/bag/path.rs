@@ -144,7 +144,7 @@ mod tests {
             ("header..x", "expected one of its fields stamp, frame_id"),
             ("ranges", "expected ranges[] for each element"),
             ("range[]", "expected range without []"),
-            ("range.x", "is no message"),
+            ("range.x", "before \"x\" has no fields"),
             ("ranges[a]", "expected one as in"),
         ] {
             let error = Path::parse(&types, path).unwrap_err();

@@ -477,11 +477,11 @@ mod tests {
         assert!(Verdict::of(&cameras).summary.contains("297 of 300 measurements fused, NIS with outliers capped"));
         let misfit = Evidence { nis_all: figure(90.0), nis_capped: figure(9.0), ..cameras.clone() };
         assert!(
-            reasons(&misfit).contains("3.0 times the assumed 0.02 rad")
-                && reasons(&misfit).contains("(--bearing-std 0.0600)")
+            reasons(&misfit).contains("3.0 times what the assumed 0.02 rad allows")
+                && reasons(&misfit).contains("(try --bearing-std 0.0600)")
         );
         let both = Evidence { range_std_m: Some(0.1), ..misfit };
-        assert!(reasons(&both).contains("(--range-std 0.30 --bearing-std 0.0600)"));
+        assert!(reasons(&both).contains("(try --range-std 0.30 --bearing-std 0.0600)"));
         assert!(reasons(&Evidence { position_std_m: 6.0, ..cameras }).contains("bearings hardly cross"));
     }
 

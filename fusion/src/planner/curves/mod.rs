@@ -72,6 +72,7 @@ impl Curves {
             }
         };
         plan.predicted = predicted_of(situation, total);
+        plan.certificate = plan.certificate.map(|certificate| below(&plan.predicted, certificate));
     }
 }
 
@@ -161,12 +162,21 @@ pub(super) fn hull_certificate(situation: &Situation, problem: &Problem, plan: &
     let mut team = Team::default();
     team.pose(situation, problem);
     let total = commanded(situation, team.curves.iter().map(|curve| curve.noise), &plan.commands);
-    // Rounding may put a bound above what it bounds.
-    let lower_bound = team.bound(team.criterion, total).min(plan.predicted.objective);
-    Certificate {
+    let lower_bound = team.bound(team.criterion, total);
+    let certificate = Certificate {
         lower_bound,
-        least_trace_m2: team.bound(Criterion::Trace, total).min(plan.predicted.position_trace_m2),
+        least_trace_m2: team.bound(Criterion::Trace, total),
         is_optimal: plan.predicted.objective - lower_bound <= search::GAP_MAX * plan.predicted.objective,
+    };
+    below(&plan.predicted, certificate)
+}
+
+/// Rounding may put a bound above what it bounds.
+fn below(predicted: &Predicted, certificate: Certificate) -> Certificate {
+    Certificate {
+        lower_bound: certificate.lower_bound.min(predicted.objective),
+        least_trace_m2: certificate.least_trace_m2.min(predicted.position_trace_m2),
+        ..certificate
     }
 }
 
