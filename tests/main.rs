@@ -5,7 +5,7 @@
 //! | `book` | README, ARCHITECTURE.md and `docs/`: every command works, every link and name exists |
 //! | `command_line` | the command line: exit codes and one-line error messages |
 //! | `command_line::hostile` | damaged input of every kind: refused in one line, no panic, hang or unbounded memory |
-//! | `command_line::kept` | no file of the user is replaced or removed; one writer of each result |
+//! | `command_line::file_safety` | no file of the user is replaced or removed; one writer of each result |
 //! | `command_line::terminal` | printed output: widths, colours, JSON; completions and manual pages |
 //! | `estimation::comparison` | Monte Carlo of the planners: figures, pictures, threads |
 //! | `estimation::distrust` | robots with sensor faults, many seeds in one process: the right robot is named |
@@ -23,7 +23,7 @@
 //! | `processes::strangers` | other users and other versions: refused in a clear line |
 //! | `recordings` | recorded ranges, ours and (where they lie beside the project) real ones |
 //! | `recordings::bags` | ROS 2 bags: of our runs and of others, each flag, damaged ones |
-//! | `recordings::believed` | the credibility of a recording: verdicts, and the findings of `calibrate` |
+//! | `recordings::verdicts` | the credibility of a recording: verdicts, and the findings of `calibrate` |
 //! | `recordings::intake` | input of a recording into a run: pipes, the copy in the run folder, names, a known start |
 //! | `results::bearings` | runs with bearings and uncertain robots: their report, and the run as a recording |
 //! | `results::page` | `report.html`: complete, small, offline, and it shows the faults |

@@ -140,7 +140,7 @@ impl<const N: usize> Gaussian<N> {
     ///
     /// `P` is the covariance of the sight: that of the estimate, and of the sensor's own position.
     #[must_use]
-    pub fn bend(sight_covariance: &Matrix2<f64>, gradient: &Vector2<f64>, distance_m: f64) -> Bend {
+    pub fn second_order(sight_covariance: &Matrix2<f64>, gradient: &Vector2<f64>, distance_m: f64) -> SecondOrder {
         let (p, e) = (sight_covariance, gradient);
         let along_m2 = e.dot(&(p * e));
         let across_m2 = (p.trace() - along_m2).max(0.0);
@@ -148,7 +148,7 @@ impl<const N: usize> Gaussian<N> {
         let mean_m = (across_m2 / (2.0 * distance_m)).min(across_m2.sqrt());
         let square = (p.norm_squared() - 2.0 * (p * e).norm_squared() + along_m2 * along_m2).max(0.0);
         let variance_m2 = (0.5 * square / (distance_m * distance_m)).min(2.0 * mean_m * mean_m);
-        Bend { mean_m, variance_m2 }
+        SecondOrder { mean_m, variance_m2 }
     }
 
     /// Joint update with all measurements of `information`, which must be linearised about this estimate (Eqs. 9-13).
@@ -224,7 +224,7 @@ pub(crate) fn posterior_covariance(prior: &Matrix2<f64>, prior_det: f64, j: &Mat
 
 /// Second-order terms of a distance, which is not linear in the position: bias and variance.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Bend {
+pub struct SecondOrder {
     /// Mean distance less the distance at the estimate, m.
     pub mean_m: f64,
     /// Variance beyond the linear one, m^2.
@@ -379,7 +379,7 @@ mod tests {
                 (at(a + b) - at(a - b) - at(b - a) + at(-a - b)) / (4.0 * step * step)
             };
             let hp = Matrix2::new(second(0, 0), second(0, 1), second(1, 0), second(1, 1)) * estimate.p;
-            let bend = Gaussian::<2>::bend(&estimate.p, &range.gradient, d);
+            let bend = Gaussian::<2>::second_order(&estimate.p, &range.gradient, d);
             let mean_m = (0.5 * hp.trace()).min(estimate.p.trace().sqrt());
             prop_assert!((bend.mean_m - mean_m).abs() < 1e-5 * (1.0 + mean_m), "{} {mean_m}", bend.mean_m);
             let variance_m2 = 0.5 * (hp * hp).trace();

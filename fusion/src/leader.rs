@@ -56,9 +56,9 @@ pub enum Notice {
     },
     /// Most sensors of this kind fail together: the reported noise of all their measurements is multiplied by this factor,
     /// and none of them is distrusted.
-    Widened(Kind, f64),
+    NoiseRaised(Kind, f64),
     /// Most sensors of this kind no longer fail together.
-    NoLongerWidened(Kind),
+    NoiseAsStated(Kind),
     /// A robot's measurements of this kind are distrusted.
     Distrusted(Kind, usize),
     /// They are trusted again.
@@ -123,7 +123,7 @@ impl Leader {
     /// # Errors
     /// [`PlannerError`] if the scenario's planner cannot serve its team.
     pub fn new(scenario: &Scenario) -> Result<Self, PlannerError> {
-        Ok(Self::of_centre(scenario, Centre::new(scenario)?.keeping_the_past()))
+        Ok(Self::of_centre(scenario, Centre::new(scenario)?.with_history()))
     }
 
     /// The same with a given centre for this scenario, for example with another planner or without stored ticks.
@@ -361,11 +361,11 @@ impl Leader {
             let (now, before) = (&now[kind as usize], &before[kind as usize]);
             let (scale, scale_before) = (scales[kind as usize], scales_before[kind as usize]);
             if scale > 1.0 && scale_before == 1.0 {
-                self.report(Notice::Widened(kind, scale));
+                self.report(Notice::NoiseRaised(kind, scale));
                 continue;
             }
             if scale == 1.0 && scale_before > 1.0 {
-                self.report(Notice::NoLongerWidened(kind));
+                self.report(Notice::NoiseAsStated(kind));
             }
             if now != before {
                 now.iter().filter(|id| !before.contains(*id)).for_each(|id| self.report(Notice::Distrusted(kind, id)));

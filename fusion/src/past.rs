@@ -4,7 +4,7 @@ use std::collections::VecDeque;
 
 use rangehound_shared::measurement::Measurement;
 use rangehound_shared::message::Command;
-use rangehound_shared::record::JudgedKinds;
+use rangehound_shared::record::GateResults;
 
 use crate::trust::Trust;
 
@@ -23,16 +23,16 @@ pub(crate) struct PastTick {
     pub(crate) trust: Trust,
     pub(crate) reports: Vec<Option<Measurement>>,
     /// How the reports were used.
-    pub(crate) judged: Vec<JudgedKinds>,
+    pub(crate) judged: Vec<GateResults>,
     /// The commands published after it.
     pub(crate) commands: Vec<Command>,
 }
 
 /// The last [`LATE_TICKS_MAX`] ticks, oldest first. Allocates nothing once it is full.
 #[derive(Debug, Default)]
-pub(crate) struct Past(VecDeque<PastTick>);
+pub(crate) struct TickHistory(VecDeque<PastTick>);
 
-impl Past {
+impl TickHistory {
     /// Memory for the next tick: that of the oldest tick once [`LATE_TICKS_MAX`] are stored.
     pub(crate) fn place(&mut self, robots: usize, trust: &Trust) -> PastTick {
         let full = self.0.len() == LATE_TICKS_MAX;
@@ -42,7 +42,7 @@ impl Past {
             tracker: Vec::new(),
             trust: trust.clone(),
             reports: vec![None; robots],
-            judged: vec![JudgedKinds::default(); robots],
+            judged: vec![GateResults::default(); robots],
             commands: vec![Command::default(); robots],
         })
     }

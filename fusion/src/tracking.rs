@@ -1,7 +1,7 @@
 //! Tracker and trust together: processes a tick's reports, and processes past ticks again when a report arrives late.
 
 use rangehound_shared::measurement::{Kind, Measurement, Pose};
-use rangehound_shared::record::{JudgedKinds, Use};
+use rangehound_shared::record::{FusionDecision, GateResults};
 use rangehound_shared::robot_set::RobotSet;
 use rangehound_shared::scenario::{NuisanceSpec, PoseCorrelation, RobotSpec, Scenario};
 use rangehound_shared::sealed::SealError;
@@ -20,14 +20,14 @@ pub(crate) struct Tracking {
     nuisances: Vec<NuisanceSpec>,
     readings: Vec<Reading>,
     /// The outcome of each robot's report in the last step.
-    judged: Vec<JudgedKinds>,
+    judged: Vec<GateResults>,
 }
 
 impl Tracking {
     pub(crate) fn new(scenario: &Scenario) -> Self {
         let robots = scenario.robots.len();
         let policy =
-            Policy { distrusts: scenario.distrust, widens: scenario.distrust || scenario.gate_sigma.is_some() };
+            Policy { distrusts: scenario.distrust, raises_noise: scenario.distrust || scenario.gate_sigma.is_some() };
         let std_per_m = |robot: &RobotSpec| robot.reported.range.map_or(0.0, |range| range.std_per_m);
         Self {
             tracker: tracker::for_scenario(scenario),
@@ -35,12 +35,12 @@ impl Tracking {
             stds_per_m: scenario.robots.iter().map(std_per_m).collect(),
             nuisances: scenario.robots.iter().map(|robot| robot.nuisances).collect(),
             readings: Vec::with_capacity(Kind::COUNT * robots),
-            judged: vec![JudgedKinds::default(); robots],
+            judged: vec![GateResults::default(); robots],
         }
     }
 
     /// The outcome of each robot's report in the last step.
-    pub(crate) fn judged(&self) -> &[JudgedKinds] {
+    pub(crate) fn judged(&self) -> &[GateResults] {
         &self.judged
     }
 
@@ -76,7 +76,7 @@ impl Tracking {
             }
         }
         let fit = self.tracker.step(dt_s, &self.readings);
-        self.judged.fill(JudgedKinds::default());
+        self.judged.fill(GateResults::default());
         for (reading, judged) in self.readings.iter().zip(self.tracker.judged()) {
             self.judged[reading.robot][reading.kind as usize] = Some(*judged);
         }
@@ -127,7 +127,7 @@ impl Tracking {
             }
             self.step(past.dt_s, &past.reports);
             past.judged.copy_from_slice(&self.judged);
-            let is_fused = || self.judged[robot].iter().flatten().any(|judged| judged.used == Use::Fused);
+            let is_fused = || self.judged[robot].iter().flatten().any(|judged| judged.used == FusionDecision::Fused);
             fused.get_or_insert_with(is_fused);
         }
         Ok(fused.unwrap_or(false))

@@ -58,7 +58,7 @@ pub struct Policy {
     /// Robots are distrusted.
     pub distrusts: bool,
     /// If most sensors fail together, ranges are assumed noisier than reported.
-    pub widens: bool,
+    pub raises_noise: bool,
 }
 
 /// The gate's decisions on the measurements of each sensor. A sensor is what measures one kind for one robot.
@@ -190,7 +190,7 @@ impl Trust {
         }
         let failures = self.newest_failed[..sensors].iter().filter(|has_failed| **has_failed).count();
         let filter_is_wrong = 2 * failures >= sensors;
-        if self.policy.widens {
+        if self.policy.raises_noise {
             self.follow_noise(decisions.clone(), sensors);
         }
         let mut factor = 1.0_f64;
@@ -303,7 +303,7 @@ impl Noise {
 mod tests {
     use super::*;
 
-    const POLICY: Policy = Policy { distrusts: true, widens: true };
+    const POLICY: Policy = Policy { distrusts: true, raises_noise: true };
 
     fn trust(robots: usize) -> Trust {
         Trust::new(robots, POLICY)
@@ -375,7 +375,7 @@ mod tests {
 
     #[test]
     fn without_the_switch_no_noise_is_widened_and_no_robot_distrusted() {
-        let mut trust = Trust::new(4, Policy { distrusts: false, widens: false });
+        let mut trust = Trust::new(4, Policy { distrusts: false, raises_noise: false });
         assert_eq!(noisy(&mut trust, 60, [900.0, 900.0, 900.0, 0.4]), 1.0);
         noisy(&mut trust, 60, [0.4, 0.4, 30.0, 0.4]);
         assert!(distrusted(&trust).is_empty() && scale(&trust) == 1.0);

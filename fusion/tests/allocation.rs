@@ -50,7 +50,7 @@ fn a_tick_allocates_nothing() {
         ("pursue", 10),
         ("horizon", 3),
     ] {
-        let mut centre = Centre::new(&scenario(planner, robots)).unwrap().keeping_the_past();
+        let mut centre = Centre::new(&scenario(planner, robots)).unwrap().with_history();
         let mut reports = vec![None; robots as usize];
         for _ in 0..50 {
             tick(&mut centre, &mut reports);
@@ -73,7 +73,7 @@ fn a_tick_of_cameras_and_uncertain_robots_allocates_nothing() {
              bearing_std_rad = 0.05\n[localiser.gps]\nstd_m = 0.5\ncorrelation_s = 20.0\n[planner]\nname = \"{planner}\"\n"
         );
         let scenario = Scenario::from_file(&ScenarioFile::parse(&text, "test").unwrap(), "test").unwrap();
-        let mut centre = Centre::new(&scenario).unwrap().keeping_the_past();
+        let mut centre = Centre::new(&scenario).unwrap().with_history();
         let mut reports = vec![None; 3];
         let mut ticks = |count: usize| {
             for _ in 0..count {

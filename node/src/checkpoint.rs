@@ -14,7 +14,7 @@ use std::fs::{File, OpenOptions};
 use std::os::unix::fs::{FileExt, MetadataExt, OpenOptionsExt};
 use std::path::{Path, PathBuf};
 
-use rangehound_shared::sealed::slots::{self, LEN_BYTES, Turns};
+use rangehound_shared::sealed::slots::{self, LEN_BYTES, SlotWriter};
 use rangehound_shared::sealed::{self, SealError};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
@@ -78,7 +78,7 @@ pub enum CheckpointError {
 pub struct Checkpoint {
     file: File,
     path: PathBuf,
-    turns: Turns,
+    writer: SlotWriter,
 }
 
 impl Checkpoint {
@@ -166,7 +166,7 @@ impl Checkpoint {
             }
         };
         let (sequence, state) = newest.map_or((0, None), |slot| (slot.sequence, Some(slot.state)));
-        Ok((Self { file, path: path.to_owned(), turns: Turns::after(run_id, sequence) }, state))
+        Ok((Self { file, path: path.to_owned(), writer: SlotWriter::after(run_id, sequence) }, state))
     }
 
     /// True if the file is empty or a checkpoint of any run and version.
@@ -193,7 +193,7 @@ impl Checkpoint {
     /// Replaces the file by a new one that holds the newest slot.
     fn move_to_new_file(&mut self, partial: &Path) -> std::io::Result<()> {
         let file = OpenOptions::new().read(true).write(true).create(true).truncate(true).mode(0o600).open(partial)?;
-        let index = self.turns.newest_slot();
+        let index = self.writer.newest_slot();
         if let Some(slot) = read_slot(&self.file, index, self.file.metadata()?.len())? {
             file.write_all_at(&slot, slot_start(index))?;
         }
@@ -207,8 +207,8 @@ impl Checkpoint {
     /// # Errors
     /// [`CheckpointError`]; the last written state stays valid.
     pub fn write(&mut self, state: &impl Serialize) -> Result<(), CheckpointError> {
-        let encoded = self.turns.encode(state);
-        let bytes = self.turns.bytes();
+        let encoded = self.writer.encode(state);
+        let bytes = self.writer.bytes();
         let len = bytes.len().saturating_sub(LEN_BYTES);
         match encoded {
             Ok(()) if bytes.len() <= SLOT_LEN => {}
@@ -218,9 +218,9 @@ impl Checkpoint {
             Err(reason) => return Err(CheckpointError::Unencodable { file: self.path.clone(), reason }),
         }
         self.file
-            .write_all_at(bytes, slot_start(self.turns.next_slot()))
+            .write_all_at(bytes, slot_start(self.writer.next_slot()))
             .map_err(|source| CheckpointError::Io { file: self.path.clone(), source })?;
-        self.turns.written();
+        self.writer.written();
         Ok(())
     }
 }

@@ -72,7 +72,7 @@ pub fn run_with(
     let mut driver = Driver::new(rendezvous, &bus)?;
     if let Some(planner) = planner {
         let scenario = &rendezvous.description().scenario;
-        let centre = Centre::new(scenario)?.keeping_the_past().planned_by(planner);
+        let centre = Centre::new(scenario)?.with_history().planned_by(planner);
         driver.leader = Leader::of_centre(scenario, centre);
     }
     driver.lead(lease, termination)
@@ -150,7 +150,7 @@ impl<'a> Driver<'a> {
         let mut succession = roster.succeed(Role::Fusion);
         // A leader that dies after the last tick leaves its last estimates to a standby.
         while !termination.requested() && !self.rendezvous.is_complete() && !self.rendezvous.is_ending() {
-            if let Some(lease) = roster.take_in_succession(Role::Fusion, &succession, POLL_INTERVAL)? {
+            if let Some(lease) = roster.take_when_free(Role::Fusion, &succession, POLL_INTERVAL)? {
                 if self.rendezvous.is_removed() {
                     return Err(self.rendezvous.removed().into());
                 }
@@ -304,12 +304,12 @@ impl<'a> Driver<'a> {
             Notice::Missed { first, last } => log::warn!(
                 "fusion did not run at ticks {first} to {last}, because it was suspended or started late: it predicts through them"
             ),
-            Notice::Widened(kind, noise_scale) => log::warn!(
+            Notice::NoiseRaised(kind, noise_scale) => log::warn!(
                 "most sensors fail the gate together: the filter assumes {noise_scale:.1} times their stated {} noise and \
                  distrusts no sensor",
                 kind.name()
             ),
-            Notice::NoLongerWidened(kind) => {
+            Notice::NoiseAsStated(kind) => {
                 log::warn!("most sensors pass the gate again: the filter assumes their stated {} noise", kind.name());
             }
             Notice::Distrusted(kind, id) => log::warn!(

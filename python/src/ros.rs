@@ -2,9 +2,9 @@
 
 use numpy::PyArrayDyn;
 use pyo3::prelude::*;
-use rangehound::results::ros_bag::diagnostics::Facts;
-use rangehound::results::ros_bag::markers::{Marker, Seen, markers};
-use rangehound::results::ros_bag::planar::{Controller, Moving, Placed};
+use rangehound::results::ros_bag::diagnostics::TickDiagnostics;
+use rangehound::results::ros_bag::markers::{Marker, RobotMarkers, markers};
+use rangehound::results::ros_bag::planar::{Controller, Moving, PlanarPose};
 use rangehound_shared::measurement::Pose;
 use rangehound_shared::message::{Command, Estimate};
 
@@ -14,7 +14,7 @@ use crate::errors::input;
 /// A pose: x, y and z, m, yaw, rad, and the covariance over x, y, z, roll, pitch, yaw, (36,).
 type Placing<'py> = (f64, f64, f64, f64, Bound<'py, PyArrayDyn<f64>>);
 
-fn placing<'py>(py: Python<'py>, placed: &Placed) -> PyResult<Placing<'py>> {
+fn placing<'py>(py: Python<'py>, placed: &PlanarPose) -> PyResult<Placing<'py>> {
     let [x_m, y_m, z_m] = placed.position_m;
     Ok((x_m, y_m, z_m, placed.yaw_rad, array(py, placed.covariance().to_vec(), &[36])?))
 }
@@ -39,7 +39,7 @@ pub(crate) fn ros_target<'py>(
     estimate.covariance[..n * n].copy_from_slice(&covariance);
     let moving = Moving::target(&estimate, has_velocity);
     let twist = array(py, moving.covariance().to_vec(), &[36])?;
-    Ok((placing(py, &Placed::target(&estimate, has_velocity))?, moving.speed_mps, twist))
+    Ok((placing(py, &PlanarPose::target(&estimate, has_velocity))?, moving.speed_mps, twist))
 }
 
 /// The pose of a robot as it reported it: position (3,), m, covariance of x and y (2, 2), m^2, heading and its standard
@@ -55,7 +55,7 @@ pub(crate) fn ros_robot<'py>(
     let covariance = Numbers::of(covariance_m2, "covariance_m2")?.shaped("covariance_m2", &[2, 2])?;
     let [x_m, y_m, height_m] = position_m;
     let covariance_m2 = [covariance[0], covariance[1], covariance[3]];
-    placing(py, &Placed::robot(&Pose { x_m, y_m, height_m, heading_rad, covariance_m2, heading_std_rad }))
+    placing(py, &PlanarPose::robot(&Pose { x_m, y_m, height_m, heading_rad, covariance_m2, heading_std_rad }))
 }
 
 /// A marker: namespace, id, type, whether it is shown, position, m, yaw, rad, scale, m, colour, and points, m.
@@ -72,9 +72,9 @@ pub(crate) fn ros_markers(
     let seen = |(place_m, range_m, is_rejected, heading_rad, speed_mps): ([f64; 2], f64, bool, f64, f64)| {
         let range = range_m.is_finite().then_some((range_m, is_rejected));
         let command = Command { heading_rad, speed_mps };
-        place_m.iter().all(|x_m| x_m.is_finite()).then_some(Seen { place_m, command, range })
+        place_m.iter().all(|x_m| x_m.is_finite()).then_some(RobotMarkers { place_m, command, range })
     };
-    let robots: Vec<Option<Seen>> = robots.into_iter().map(seen).collect();
+    let robots: Vec<Option<RobotMarkers>> = robots.into_iter().map(seen).collect();
     let drawn = |marker: Marker| {
         let Marker { namespace, id, shape, is_shown, position_m, yaw_rad, scale_m, colour, points_m } = marker;
         (namespace, id, shape as i32, is_shown, position_m, yaw_rad, scale_m, colour, points_m)
@@ -98,7 +98,8 @@ pub(crate) fn ros_status(
     sent_ns: [u64; 2],
     trace_m2: f64,
 ) -> (u8, &'static str, &'static str, Vec<(&'static str, String)>) {
-    let status = Facts { tick, ticks, fused, missing, silent, distrusted, sent_ns, trace_m2 }.status(rejected);
+    let status =
+        TickDiagnostics { tick, ticks, fused, missing, silent, distrusted, sent_ns, trace_m2 }.status(rejected);
     (status.level, status.name, status.message, status.values)
 }
 

@@ -81,8 +81,8 @@ pub fn kill(name: Option<&RunName>, node: Role, json: bool) -> Result<(), Failur
         return print_json(&json!({ "name": run.name().to_string(), "node": node.to_string(), "pid": pid }));
     }
     print(match hit {
-        Hit::Here(_) => format!("killed {node}, {hit}\n"),
-        Hit::On(host) => format!("asked the host {host} to kill {node}\n"),
+        Signalled::Here(_) => format!("killed {node}, {hit}\n"),
+        Signalled::On(host) => format!("asked the host {host} to kill {node}\n"),
     })
 }
 
@@ -100,8 +100,8 @@ pub fn restart(name: Option<&RunName>, node: Role, json: bool) -> Result<(), Fai
             && let Some(pid) = run.roster().holder(node)
         {
             let now = match gateway::remote_robot(&run, node) {
-                Some(remote) => Hit::On(remote.host),
-                None => Hit::Here(pid),
+                Some(remote) => Signalled::On(remote.host),
+                None => Signalled::Here(pid),
             };
             let (starts, node) = (run.roster().starts(node), node.to_string());
             if json {
@@ -197,14 +197,14 @@ fn join(name: Option<&RunName>) -> Result<Rendezvous, Failure> {
 
 /// A process that has got a signal.
 #[derive(Debug)]
-pub(crate) enum Hit {
+pub(crate) enum Signalled {
     /// On this host.
     Here(Pid),
     /// A robot's, on this host.
     On(String),
 }
 
-impl Hit {
+impl Signalled {
     fn pid(&self) -> Option<Pid> {
         match self {
             Self::Here(pid) => Some(*pid),
@@ -213,7 +213,7 @@ impl Hit {
     }
 }
 
-impl std::fmt::Display for Hit {
+impl std::fmt::Display for Signalled {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self {
             Self::Here(pid) => write!(f, "process {}", pid.as_raw_pid()),
@@ -223,7 +223,7 @@ impl std::fmt::Display for Hit {
 }
 
 /// Sends a signal to the process in a role. A robot on another host gets it through the gateway, if its host allows that.
-pub(crate) fn signal(run: &Rendezvous, role: Role, signal: Signal) -> Result<Hit, Failure> {
+pub(crate) fn signal(run: &Rendezvous, role: Role, signal: Signal) -> Result<Signalled, Failure> {
     if let Some(remote) = gateway::remote_robot(run, role).filter(|remote| remote.allows_control) {
         let order = match signal {
             Signal::KILL => RobotOrder::Kill,
@@ -235,16 +235,16 @@ pub(crate) fn signal(run: &Rendezvous, role: Role, signal: Signal) -> Result<Hit
                 )));
             }
         };
-        return give_order(run, &remote, order).map(|()| Hit::On(remote.host));
+        return give_order(run, &remote, order).map(|()| Signalled::On(remote.host));
     }
     let process = process_in(run, role)?;
     process.signal(signal).map_err(|_| gone(run, role))?;
-    Ok(Hit::Here(process.pid()))
+    Ok(Signalled::Here(process.pid()))
 }
 
 /// Asks the process in a role to end, so that another one is started: by the supervisor or, on another host, by what starts its
 /// robots.
-pub(crate) fn ask_for_successor(run: &Rendezvous, role: Role) -> Result<Hit, Failure> {
+pub(crate) fn ask_for_successor(run: &Rendezvous, role: Role) -> Result<Signalled, Failure> {
     if !run.roster().is_held(Role::Supervisor) && gateway::remote_robot(run, role).is_none() {
         return Err(Failure::input(format!(
             "run {} was started by hand: expected a run with a supervisor: kill {role}, and start it again",
@@ -252,7 +252,7 @@ pub(crate) fn ask_for_successor(run: &Rendezvous, role: Role) -> Result<Hit, Fai
         )));
     }
     let hit = signal(run, role, Signal::TERM)?;
-    if matches!(hit, Hit::Here(_)) {
+    if matches!(hit, Signalled::Here(_)) {
         // A stopped process receives the signal only after it is continued. An error means that the process has ended already.
         let _ = signal(run, role, Signal::CONT);
     }

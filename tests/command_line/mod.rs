@@ -1,7 +1,7 @@
 //! The command line: every mistake is reported in one line, before any file is created.
 
+mod file_safety;
 pub(crate) mod hostile;
-mod kept;
 mod terminal;
 
 use crate::support::{Outcome, Run};

@@ -35,7 +35,7 @@ fn rogue() {
     let worlds = bus.publisher::<WorldEntry>(robots).unwrap();
     let notifiers = [WaitGroup::Sim, WaitGroup::Fusion, WaitGroup::Robots].map(|group| bus.notifier_of(group));
     // It claims a greater incarnation than any node has.
-    bus.speak_as(1_000);
+    bus.mark_messages(1_000);
     println!("joined");
     let began = Instant::now();
     let mut round = 0_u64;

@@ -1,8 +1,8 @@
 //! Recorded ranges: the shipped recording, and real ones if they are beside the project.
 
 pub(crate) mod bags;
-mod believed;
 mod intake;
+mod verdicts;
 
 use std::path::{Path, PathBuf};
 

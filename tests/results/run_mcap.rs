@@ -10,7 +10,7 @@ use std::time::Duration;
 
 use rangehound::results::run_mcap::read::FrameReader;
 use rangehound_shared::measurement::{Measurement, Pose};
-use rangehound_shared::record::{Heading, Heard, Judged, JudgedKinds, Use};
+use rangehound_shared::record::{FusionDecision, GateResult, GateResults, Heading, Heard};
 use rustix::process::{Pid, Signal};
 use serde_json::Value;
 
@@ -359,13 +359,13 @@ fn every_frame_comes_back_to_the_bit() {
                 Some((-0.5, 1.5)),
             ),
             taken_at: 9,
-            judged: JudgedKinds::default(),
+            judged: GateResults::default(),
         });
         let pose = Pose { height_m: 2.5, ..Pose::default() };
-        let heard = Heard { measurement: Measurement::new(pose, None), taken_at: 7, judged: JudgedKinds::default() };
+        let heard = Heard { measurement: Measurement::new(pose, None), taken_at: 7, judged: GateResults::default() };
         strange.fusion.exchanges[2].heard = Some(heard);
-        let judged = Judged { used: Use::Distrusted, normalised_square: None };
-        let bearing = Judged { used: Use::Rejected, normalised_square: Some(20.0) };
+        let judged = GateResult { used: FusionDecision::Distrusted, normalised_square: None };
+        let bearing = GateResult { used: FusionDecision::Rejected, normalised_square: Some(20.0) };
         let both = Measurement::new(Pose { heading_rad: 0.7, heading_std_rad: 0.1, ..pose }, Some((2.0, 0.1)));
         let both = both.with_bearing(Some((-1.5, 0.02)));
         all[8].fusion.exchanges[0].heard =

@@ -5,13 +5,13 @@ use std::borrow::Cow;
 use rangehound_shared::measurement::{Kind, Measurement, Pose};
 use rangehound_shared::message::{Command, Estimate};
 use rangehound_shared::record::digest::Digest;
-use rangehound_shared::record::{Exchange, Heard, JudgedKinds};
+use rangehound_shared::record::{Exchange, GateResults, Heard};
 use rangehound_shared::robot_set::RobotSet;
 use rangehound_shared::scenario::{RangeNoise, RobotSpec, Scenario, SensorSpec, Source, Treatment};
 use rangehound_shared::sealed::SealError;
 use serde::{Deserialize, Serialize};
 
-use crate::past::Past;
+use crate::past::TickHistory;
 use crate::planner::{self, Certificate, Plan, Planner, PlannerError, Predicted, Situation, TeamMember};
 use crate::tracker::Fit;
 use crate::tracking::Tracking;
@@ -51,14 +51,14 @@ pub struct Centre {
     ignores_nuisances: bool,
     tracking: Tracking,
     /// `None`: late reports are missed.
-    past: Option<Past>,
+    past: Option<TickHistory>,
     planner: Box<dyn Planner>,
     next_tick: u64,
     time_s: f64,
     digest: Digest,
     fit: Fit,
     /// How each robot's report was used at the last tick.
-    judged: Vec<JudgedKinds>,
+    judged: Vec<GateResults>,
     missing: u64,
     bodies: Vec<Option<Body>>,
     situation: Situation,
@@ -75,7 +75,7 @@ pub struct Saved<'a> {
     time_s: f64,
     digest: Digest,
     fit: Fit,
-    judged: Cow<'a, [JudgedKinds]>,
+    judged: Cow<'a, [GateResults]>,
     missing: u64,
     predicted: Predicted,
     certificate: Option<Certificate>,
@@ -145,7 +145,7 @@ impl Centre {
             time_s: 0.0,
             digest: Digest::default(),
             fit: Fit::default(),
-            judged: vec![JudgedKinds::default(); robots],
+            judged: vec![GateResults::default(); robots],
             missing: 0,
             bodies: vec![None; robots],
             situation: Situation {
@@ -165,8 +165,8 @@ impl Centre {
 
     /// The same centre, but it stores its last ticks for late reports: see [`Self::take_late`].
     #[must_use]
-    pub fn keeping_the_past(self) -> Self {
-        Self { past: Some(Past::default()), ..self }
+    pub fn with_history(self) -> Self {
+        Self { past: Some(TickHistory::default()), ..self }
     }
 
     /// The same centre with another planner than its scenario's.
@@ -212,7 +212,7 @@ impl Centre {
         }
         self.tracking.tracker.restore(&restored.tracker)?;
         self.tracking.trust = restored.trust.into_owned();
-        self.past.iter_mut().for_each(Past::clear);
+        self.past.iter_mut().for_each(TickHistory::clear);
         self.next_tick = restored.next_tick;
         self.time_s = restored.time_s;
         self.digest = restored.digest;
@@ -249,7 +249,7 @@ impl Centre {
         }
         self.missing = reports.iter().filter(|report| report.is_none()).count() as u64;
         self.fit = Fit::default();
-        self.judged.fill(JudgedKinds::default());
+        self.judged.fill(GateResults::default());
         if tick == 0 {
             self.missing = 0;
         } else {
@@ -261,7 +261,7 @@ impl Centre {
             self.keep(tick, dt_s, reports);
             self.fit = self.tracking.step(dt_s, reports);
             self.judged.copy_from_slice(self.tracking.judged());
-            if let Some(past) = self.past.as_mut().and_then(Past::newest) {
+            if let Some(past) = self.past.as_mut().and_then(TickHistory::newest) {
                 past.judged.copy_from_slice(&self.judged);
             }
         }
@@ -295,7 +295,7 @@ impl Centre {
 
     /// The gate's decisions on a robot's report of one of the last ticks; none if that tick is not stored.
     #[must_use]
-    pub fn judged_at(&self, tick: u64, id: usize) -> JudgedKinds {
+    pub fn judged_at(&self, tick: u64, id: usize) -> GateResults {
         let past = self.past.as_ref().and_then(|past| past.at(tick));
         past.and_then(|past| past.judged.get(id).copied()).unwrap_or_default()
     }
@@ -378,7 +378,7 @@ impl Centre {
                 body.position_m = moved(body.position_m, *command, self.dt_s);
             }
         }
-        if let Some(past) = self.past.as_mut().and_then(Past::newest) {
+        if let Some(past) = self.past.as_mut().and_then(TickHistory::newest) {
             past.commands.copy_from_slice(&self.commands);
         }
         &self.commands

@@ -62,7 +62,7 @@ fn a_silent_robot_is_commanded_to_stop_after_some_ticks() {
 fn of(text: &str) -> Centre {
     let file = ScenarioFile::parse(text, "test").unwrap();
     let scenario = Scenario::from_file(&file, "test").unwrap();
-    Centre::new(&scenario).unwrap().keeping_the_past()
+    Centre::new(&scenario).unwrap().with_history()
 }
 
 fn kalman() -> Centre {
@@ -73,7 +73,7 @@ fn kalman() -> Centre {
 fn from_ranges() -> Centre {
     let mut scenario = Scenario::from_file(&ScenarioFile::default(), "test").unwrap();
     (scenario.prior, scenario.gate_sigma) = (Prior::FromRanges, Some(4.0));
-    Centre::new(&scenario).unwrap().keeping_the_past()
+    Centre::new(&scenario).unwrap().with_history()
 }
 
 /// A target that drives straight on, and three robots on a circle round its start.

@@ -11,7 +11,7 @@ use std::cmp::Ordering;
 
 use rangehound_shared::measurement::{Measurement, Pose};
 use rangehound_shared::message::{Header, Range, Refusal};
-use rangehound_shared::record::{Heard, JudgedKinds};
+use rangehound_shared::record::{GateResults, Heard};
 use rangehound_shared::scenario::{Clock, Scenario};
 use serde::{Deserialize, Serialize};
 
@@ -56,7 +56,7 @@ pub struct LateReport {
     /// The measurement.
     pub report: Measurement,
     /// The gate's decision on its range.
-    pub judged: JudgedKinds,
+    pub judged: GateResults,
 }
 
 /// The class of an admitted message, relative to the present tick.

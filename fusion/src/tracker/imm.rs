@@ -6,7 +6,7 @@
 //! Bar-Shalom, "The Interacting Multiple Model Algorithm", 1988).
 
 use rangehound_shared::motion::MotionModel;
-use rangehound_shared::record::Judged;
+use rangehound_shared::record::GateResult;
 use rangehound_shared::sealed::{self, SealError};
 
 use super::bank::{Bank, Hypothesis, SavedBank, merge, mixture_of};
@@ -113,7 +113,7 @@ impl<const N: usize> Tracker for Imm<N> {
         fits[self.more_probable()]
     }
 
-    fn judged(&self) -> &[Judged] {
+    fn judged(&self) -> &[GateResult] {
         self.modes[self.more_probable()].bank.judged()
     }
 

@@ -4,7 +4,7 @@ use nalgebra::Matrix2;
 use rangehound_shared::ROBOTS_MAX;
 use rangehound_shared::measurement::Kind;
 use rangehound_shared::motion::{MotionModel, Transition};
-use rangehound_shared::record::{Judged, Use};
+use rangehound_shared::record::{FusionDecision, GateResult};
 use rangehound_shared::sealed::{self, SealError};
 
 use super::{Fit, Gate, Reading, Tracker, judged_room, use_of};
@@ -23,7 +23,7 @@ pub struct Kalman<const N: usize> {
     transition: (f64, Transition<N>),
     /// The last step's readings compared with their predictions, in their order.
     rows: Vec<Row>,
-    judged: Vec<Judged>,
+    judged: Vec<GateResult>,
     scratch: Vec<Whitened<N>>,
 }
 
@@ -48,7 +48,7 @@ fn row_of<const N: usize>(estimate: &Estimate<N>, reading: &Reading, chain: &Cha
         let sight_covariance = estimate.sight_covariance(reading.robot, chain);
         let innovation = &mut row.innovation;
         let distance_m = (reading.value - innovation.innovation).abs().max(f64::MIN_POSITIVE);
-        let bend = Gaussian::<N>::bend(&sight_covariance, &innovation.gradient, distance_m);
+        let bend = Gaussian::<N>::second_order(&sight_covariance, &innovation.gradient, distance_m);
         innovation.innovation -= bend.mean_m;
         innovation.noise_variance += bend.variance_m2;
     }
@@ -79,16 +79,16 @@ impl<const N: usize> Tracker for Kalman<N> {
             let normalised_square = nu * nu / estimate.variance(&row, chain);
             let used = use_of(reading, gate.passes(normalised_square));
             fit.failed[reading.kind as usize].set(reading.robot, gate.fails(normalised_square));
-            fit.fused += u32::from(used == Use::Fused);
+            fit.fused += u32::from(used == FusionDecision::Fused);
             rows.push(row);
-            judged.push(Judged { used, normalised_square: Some(normalised_square) });
+            judged.push(GateResult { used, normalised_square: Some(normalised_square) });
         }
         fit.rejected = fit.tested - fit.fused;
         if fit.rejected > 0 {
             fit.nis_all = estimate.nis(rows.iter(), chain, scratch);
         }
         if fit.fused > 0 {
-            let fused = rows.iter().zip(judged.iter()).filter(|(_, judged)| judged.used == Use::Fused);
+            let fused = rows.iter().zip(judged.iter()).filter(|(_, judged)| judged.used == FusionDecision::Fused);
             fit.nis = estimate.update(fused.map(|(row, _)| row), chain, scratch);
         }
         if fit.rejected == 0 {
@@ -97,7 +97,7 @@ impl<const N: usize> Tracker for Kalman<N> {
         fit
     }
 
-    fn judged(&self) -> &[Judged] {
+    fn judged(&self) -> &[GateResult] {
         &self.judged
     }
 

@@ -13,7 +13,7 @@ pub mod kalman;
 use nalgebra::SVector;
 use rangehound_shared::ROBOTS_MAX;
 use rangehound_shared::measurement::{Kind, Pose};
-use rangehound_shared::record::{Judged, Use};
+use rangehound_shared::record::{FusionDecision, GateResult};
 use rangehound_shared::robot_set::RobotSet;
 use rangehound_shared::scenario::{Prior, Scenario, Source, defaults};
 use rangehound_shared::sealed::SealError;
@@ -67,7 +67,7 @@ pub trait Tracker: std::fmt::Debug + Send {
     fn step(&mut self, dt_s: f64, readings: &[Reading]) -> Fit;
 
     /// How the last step used each of its readings, in their order.
-    fn judged(&self) -> &[Judged];
+    fn judged(&self) -> &[GateResult];
 
     /// Multiplies the estimate's covariance by this factor, because the target may be lost. Trackers that recover by
     /// themselves ignore it.
@@ -96,16 +96,16 @@ pub trait Tracker: std::fmt::Debug + Send {
 }
 
 /// Buffers for a tracker's results on a tick's readings, so that no step allocates.
-fn judged_room() -> Vec<Judged> {
+fn judged_room() -> Vec<GateResult> {
     Vec::with_capacity(Kind::COUNT * ROBOTS_MAX)
 }
 
 /// How a reading is used that passed the gate or failed it.
-fn use_of(reading: &Reading, passed: bool) -> Use {
+fn use_of(reading: &Reading, passed: bool) -> FusionDecision {
     match (reading.distrusted, passed) {
-        (true, _) => Use::Distrusted,
-        (false, true) => Use::Fused,
-        (false, false) => Use::Rejected,
+        (true, _) => FusionDecision::Distrusted,
+        (false, true) => FusionDecision::Fused,
+        (false, false) => FusionDecision::Rejected,
     }
 }
 

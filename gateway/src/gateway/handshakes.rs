@@ -22,7 +22,7 @@ pub(super) struct Handshakes {
 
 /// A handshake that is under way, until this is dropped.
 #[derive(Debug)]
-pub(super) struct UnderWay {
+pub(super) struct OpenHandshake {
     handshakes: Rc<Handshakes>,
     address: IpAddr,
 }
@@ -49,7 +49,7 @@ impl Handshakes {
 
     /// Begins a handshake with this address; `None` if half of the places are taken by this address, or all of them. Known
     /// addresses have as many places again.
-    pub(super) fn begin(self: &Rc<Self>, address: IpAddr) -> Option<UnderWay> {
+    pub(super) fn begin(self: &Rc<Self>, address: IpAddr) -> Option<OpenHandshake> {
         let places = if self.known.borrow().contains(&address) { 2 * self.places } else { self.places };
         let is_full = self.count() >= places;
         let mut under_way = self.under_way.borrow_mut();
@@ -58,11 +58,11 @@ impl Handshakes {
             return None;
         }
         under_way.insert(address, with_address + 1);
-        Some(UnderWay { handshakes: Rc::clone(self), address })
+        Some(OpenHandshake { handshakes: Rc::clone(self), address })
     }
 }
 
-impl Drop for UnderWay {
+impl Drop for OpenHandshake {
     fn drop(&mut self) {
         let mut under_way = self.handshakes.under_way.borrow_mut();
         if let Some(count) = under_way.get_mut(&self.address) {

@@ -23,7 +23,7 @@ use rangehound_node::system::signal::Termination;
 use tokio::sync::mpsc::{self, Receiver, Sender};
 use tokio::sync::watch;
 
-use crate::keys::{Credentials, KeysError, Renewed};
+use crate::keys::{Credentials, KeysError, Reloaded};
 use crate::link::{self, Answer};
 use acceptor::{Acceptor, Applicant};
 use handshakes::Handshakes;
@@ -111,7 +111,7 @@ pub fn run(
 ) -> Result<(), GatewayError> {
     // Two gateways would each take the roles that the other one lacks.
     let lease = rendezvous.roster().take(Role::Gateway)?;
-    let mut config = Renewed::new(keys.cloned(), move |keys| config_of(keys, address))?;
+    let mut config = Reloaded::new(keys.cloned(), move |keys| config_of(keys, address))?;
     let socket = bind(address)?;
     let runtime = link::runtime()?;
     let is_over = AtomicBool::new(false);

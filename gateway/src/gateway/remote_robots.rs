@@ -169,7 +169,7 @@ impl<'a> RemoteRobots<'a> {
         match message {
             Publication::Range(range, notification) => {
                 let Some(remote) = self.all.get(&robot) else { return Ok(()) };
-                self.bus.speak_as(remote.lease.incarnation);
+                self.bus.mark_messages(remote.lease.incarnation);
                 remote.ranges.send_one(&range)?;
                 self.fusion.notify(&notification);
             }
@@ -182,7 +182,7 @@ impl<'a> RemoteRobots<'a> {
     pub(super) fn publish_drives(&mut self) -> Result<(), BusError> {
         for (robot, drive, notification) in self.drives.drain(..) {
             let Some(remote) = self.all.get(&robot) else { continue };
-            self.bus.speak_as(remote.lease.incarnation);
+            self.bus.mark_messages(remote.lease.incarnation);
             remote.drives.send_one(&drive)?;
             notification.iter().for_each(|notification| self.sim.notify(notification));
         }

@@ -14,7 +14,7 @@ use rustls::version::TLS13;
 use rustls::{ClientConfig, Error, InconsistentKeys, RootCertStore, ServerConfig};
 
 use super::files::{AUTHORITY_CERTIFICATE, HOST_CERTIFICATE, HOST_KEY, read};
-use super::verifier::{Anyone, GatewayOnly};
+use super::verifier::{AnyCertificate, GatewayOnly};
 use super::{GATEWAY_NAME, KeysError, Peer};
 
 /// How hosts join, which both ends must name in the handshake. It stays when the protocol's number changes: see [`crate::link::Request`].
@@ -134,7 +134,7 @@ impl Credentials {
         let config = ClientConfig::builder_with_provider(provider())
             .with_protocol_versions(&[&TLS13])?
             .dangerous()
-            .with_custom_certificate_verifier(Arc::new(Anyone(provider())))
+            .with_custom_certificate_verifier(Arc::new(AnyCertificate(provider())))
             .with_no_client_auth();
         Ok(as_robot_host(config))
     }

@@ -13,7 +13,7 @@ use tempfile::TempDir;
 
 use super::authority::params;
 use super::credentials::{as_robot_host, provider};
-use super::verifier::Anyone;
+use super::verifier::AnyCertificate;
 use super::*;
 
 const DAY: Duration = Duration::from_secs(86_400);
@@ -143,7 +143,7 @@ fn a_robots_host_without_a_good_certificate_is_refused_and_both_ends_know_why() 
         .with_protocol_versions(&[&rustls::version::TLS13])
         .unwrap()
         .dangerous()
-        .with_custom_certificate_verifier(Arc::new(Anyone(provider())))
+        .with_custom_certificate_verifier(Arc::new(AnyCertificate(provider())))
         .with_no_client_auth();
     assert_refused(server(), as_robot_host(nobody), RefusalCause::NoCertificate);
     let past = Validity { from: now - 2 * DAY, until: now - DAY };

@@ -25,7 +25,7 @@ pub use error::KeysError;
 pub(crate) use files::{AUTHORITY_CERTIFICATE, HOST_CERTIFICATE, HOST_KEY};
 pub use host::{Host, HostName, HostRole, RobotHost};
 pub use peer::Peer;
-pub(crate) use renewal::Renewed;
+pub(crate) use renewal::Reloaded;
 
 /// The name in a gateway's certificate; a robot's host demands it of whatever answers.
 pub const GATEWAY_NAME: &str = "gateway.rangehound";

@@ -7,7 +7,7 @@ use super::files::{AUTHORITY_CERTIFICATE, HOST_CERTIFICATE, HOST_KEY};
 
 /// A value that is made of the keys in a folder. It is made again when their files change.
 #[derive(Debug)]
-pub(crate) struct Renewed<T, F> {
+pub(crate) struct Reloaded<T, F> {
     folder: Option<PathBuf>,
     make: F,
     made: T,
@@ -17,7 +17,7 @@ pub(crate) struct Renewed<T, F> {
 /// Time of change, s and ns, and inode of each file; `None` if it is not there.
 type Seen = [Option<(i64, i64, u64)>; 3];
 
-impl<T, E: std::fmt::Display, F: Fn(Option<&Path>) -> Result<T, E>> Renewed<T, F> {
+impl<T, E: std::fmt::Display, F: Fn(Option<&Path>) -> Result<T, E>> Reloaded<T, F> {
     /// Makes it of the keys in this folder, or without any.
     ///
     /// # Errors
@@ -66,9 +66,9 @@ mod tests {
             made.set(made.get() + 1);
             std::fs::read_to_string(folder.unwrap().join(HOST_CERTIFICATE)).map_err(|error| error.to_string())
         };
-        assert!(Renewed::new(Some(place.path().to_owned()), make).is_err());
+        assert!(Reloaded::new(Some(place.path().to_owned()), make).is_err());
         std::fs::write(&certificate, "first").unwrap();
-        let mut renewed = Renewed::new(Some(place.path().to_owned()), make).unwrap();
+        let mut renewed = Reloaded::new(Some(place.path().to_owned()), make).unwrap();
         assert_eq!((renewed.present().as_str(), made.get()), ("first", 2));
         std::fs::remove_file(&certificate).unwrap();
         assert_eq!((renewed.present().as_str(), made.get()), ("first", 3));
@@ -83,7 +83,7 @@ mod tests {
 
     #[test]
     fn without_a_folder_it_is_made_once() {
-        let mut renewed = Renewed::new(None, |_| Ok::<_, String>(())).unwrap();
+        let mut renewed = Reloaded::new(None, |_| Ok::<_, String>(())).unwrap();
         renewed.present();
         assert_eq!(renewed.seen, [None; 3]);
     }

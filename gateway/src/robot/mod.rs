@@ -12,7 +12,7 @@ use rangehound_robot::drive::{Actuator, SimulatedActuator};
 use rangehound_robot::machine::{Action, Machine};
 use rangehound_robot::pose::{self, PoseSource};
 use rangehound_robot::remote::wire::Downlink;
-use rangehound_robot::remote::{Rejoin, RobotEnd, RunLife, silence_max_ns};
+use rangehound_robot::remote::{Rejoin, RobotEnd, RunIncarnation, silence_max_ns};
 use rangehound_robot::sensor::{self, Sensor, measure};
 use rangehound_shared::message::Command;
 use rangehound_shared::scenario::Scenario;
@@ -21,7 +21,7 @@ use rustix::process::{Signal, getpid, kill_process};
 use crate::keys::KeysError;
 use crate::link::{self, Notice};
 pub use session::Refusal;
-use session::{Connector, Happened, Session};
+use session::{Connector, LinkEvent, Session};
 
 /// Longest sleep: bounds how late the process sees that it is asked to end.
 const LONGEST_SLEEP: Duration = Duration::from_millis(50);
@@ -148,7 +148,7 @@ struct Driver<E> {
 
 /// A robot's part in one run.
 struct Part {
-    of: RunLife,
+    of: RunIncarnation,
     machine: Machine,
     robot_end: RobotEnd,
     equipment: Equipment,
@@ -167,7 +167,7 @@ impl<E: FnMut(&Scenario) -> Option<Equipment>> Driver<E> {
                 None => connector.next(wait).await,
             };
             match happened {
-                Happened::Joined(joined) => match self.join(&joined) {
+                LinkEvent::Joined(joined) => match self.join(&joined) {
                     Ok(()) => {
                         connector.report_joined(joined.description.run_id);
                         session = Some(*joined);
@@ -177,35 +177,35 @@ impl<E: FnMut(&Scenario) -> Option<Equipment>> Driver<E> {
                         connector.refuse(Refusal { text, may_change: false });
                     }
                 },
-                Happened::Refused(refusal) if refusal.may_change || self.has_joined => connector.report(&refusal.text),
-                Happened::Refused(refusal) => return Err(RobotError::Refused(refusal.text)),
-                Happened::Unreachable(reason) => connector.report(&reason),
-                Happened::Frame(bytes) => {
+                LinkEvent::Refused(refusal) if refusal.may_change || self.has_joined => connector.report(&refusal.text),
+                LinkEvent::Refused(refusal) => return Err(RobotError::Refused(refusal.text)),
+                LinkEvent::Unreachable(reason) => connector.report(&reason),
+                LinkEvent::Frame(bytes) => {
                     if let Some(part) = &mut self.part {
                         part.on_frame(&bytes);
                     }
                 }
-                Happened::Noticed(Notice::Finished) => break,
-                Happened::Finished(endpoint) => {
+                LinkEvent::Noticed(Notice::Finished) => break,
+                LinkEvent::Finished(endpoint) => {
                     session::flush(&endpoint).await;
                     break;
                 }
-                Happened::Noticed(Notice::Kill) if self.allows_control => {
+                LinkEvent::Noticed(Notice::Kill) if self.allows_control => {
                     log::warn!("killed from the run's host");
                     if let Some(session) = &mut session {
                         session.send_last(Notice::Kill).await;
                     }
                     kill_process(getpid(), Signal::KILL).map_err(std::io::Error::from)?;
                 }
-                Happened::Noticed(Notice::End) if self.allows_control => {
+                LinkEvent::Noticed(Notice::End) if self.allows_control => {
                     log::warn!("asked to end from the run's host");
                     break;
                 }
-                Happened::Noticed(_) => log::warn!(
+                LinkEvent::Noticed(_) => log::warn!(
                     "ignored an order of the run's host to end this robot: start it with --allow-remote-control to obey such orders"
                 ),
-                Happened::Ended => session = None,
-                Happened::Nothing => {}
+                LinkEvent::Ended => session = None,
+                LinkEvent::Nothing => {}
             }
             let Some(part) = &mut self.part else { continue };
             part.act();
@@ -232,14 +232,14 @@ impl<E: FnMut(&Scenario) -> Option<Equipment>> Driver<E> {
     /// Takes part in the run that the gateway describes, or returns why it cannot.
     fn join(&mut self, session: &Session) -> Result<(), String> {
         let Session { description: RunDescription { run_id, scenario, .. }, life, .. } = session;
-        let of = RunLife { run_id: *run_id, life: *life };
+        let of = RunIncarnation { run_id: *run_id, life: *life };
         let rejoin = of.after(self.part.as_ref().map(|part| part.of));
-        if rejoin == Rejoin::GoesOn {
+        if rejoin == Rejoin::Continue {
             return Ok(());
         }
         let equipment = self.part.take().and_then(|mut part| {
             part.equipment.2.carry_out(Command::default());
-            (rejoin == Rejoin::StartsAnew).then_some(part.equipment)
+            (rejoin == Rejoin::Restart).then_some(part.equipment)
         });
         let machine = Machine::new(scenario, self.id, session.fusion_incarnation);
         let machine = machine.ok_or_else(|| {

@@ -12,7 +12,7 @@ use tokio::task::{JoinHandle, JoinSet};
 use tokio::time::{Instant, timeout};
 
 use super::{RobotError, Target};
-use crate::keys::{Credentials, GATEWAY_NAME, RefusalCause, Renewed};
+use crate::keys::{Credentials, GATEWAY_NAME, RefusalCause, Reloaded};
 use crate::link::{self, Answer, Notice, Request};
 
 /// Time for one attempt to connect and to join. A handshake that takes longer goes on beside those of the next attempts: over a
@@ -32,7 +32,7 @@ const MISFIT_RETRY_DELAY: Duration = Duration::from_secs(1);
 const CLOSING_MAX: Duration = Duration::from_millis(500);
 
 /// An event at the link.
-pub(super) enum Happened {
+pub(super) enum LinkEvent {
     /// The robot has joined.
     Joined(Box<Session>),
     /// The gateway refused it.
@@ -70,10 +70,10 @@ type Handshakes = JoinSet<(Endpoint, Result<Connection, ConnectionError>)>;
 /// Opens links.
 pub(super) struct Connector {
     target: Target,
-    config: Renewed<ClientConfig, ConfigOf>,
+    config: Reloaded<ClientConfig, ConfigOf>,
     robot: usize,
     process: u64,
-    attempt: Option<JoinHandle<(Happened, Handshakes)>>,
+    attempt: Option<JoinHandle<(LinkEvent, Handshakes)>>,
     /// Those of earlier attempts.
     handshakes: Handshakes,
     reported: Option<String>,
@@ -101,7 +101,7 @@ pub(super) struct Session {
 
 impl Connector {
     pub(super) fn new(target: Target, robot: usize) -> Result<Self, RobotError> {
-        let config = Renewed::new(target.keys.clone(), config_of as ConfigOf)?;
+        let config = Reloaded::new(target.keys.clone(), config_of as ConfigOf)?;
         let process = rand::random();
         let handshakes = Handshakes::new();
         Ok(Self { target, config, robot, process, attempt: None, handshakes, reported: None, took_part_in: None })
@@ -128,9 +128,9 @@ impl Connector {
             // The system has a limit of its own for names: a slow server of names must not keep the robot out.
             let happened = match resolve(&target).await {
                 Ok(address) => open(&target, address, config, &request, &mut handshakes).await,
-                Err(reason) => Happened::Unreachable(reason),
+                Err(reason) => LinkEvent::Unreachable(reason),
             };
-            if !matches!(happened, Happened::Joined(_)) {
+            if !matches!(happened, LinkEvent::Joined(_)) {
                 tokio::time::sleep(RETRY_DELAY).await;
             }
             (happened, handshakes)
@@ -138,13 +138,13 @@ impl Connector {
     }
 
     /// The end of an attempt, or nothing after this time.
-    pub(super) async fn next(&mut self, wait: Duration) -> Happened {
+    pub(super) async fn next(&mut self, wait: Duration) -> LinkEvent {
         if self.is_idle() {
             self.open();
         }
-        let Some(attempt) = &mut self.attempt else { return Happened::Nothing };
+        let Some(attempt) = &mut self.attempt else { return LinkEvent::Nothing };
         match timeout(wait, attempt).await {
-            Err(_) => Happened::Nothing,
+            Err(_) => LinkEvent::Nothing,
             Ok(ended) => {
                 self.attempt = None;
                 match ended {
@@ -152,7 +152,7 @@ impl Connector {
                         self.handshakes = handshakes;
                         happened
                     }
-                    Err(error) => Happened::Unreachable(error.to_string()),
+                    Err(error) => LinkEvent::Unreachable(error.to_string()),
                 }
             }
         }
@@ -162,7 +162,7 @@ impl Connector {
     pub(super) fn refuse(&mut self, refusal: Refusal) {
         self.attempt = Some(tokio::task::spawn_local(async move {
             tokio::time::sleep(MISFIT_RETRY_DELAY).await;
-            (Happened::Refused(refusal), Handshakes::new())
+            (LinkEvent::Refused(refusal), Handshakes::new())
         }));
     }
 
@@ -204,16 +204,16 @@ async fn open(
     config: ClientConfig,
     request: &Request,
     handshakes: &mut Handshakes,
-) -> Happened {
+) -> LinkEvent {
     if target.keys.is_none() && !address.ip().is_loopback() {
         let text = format!("{address} is another host: --keys is missing (`rangehound keys` makes them)");
-        return Happened::Refused(Refusal { text, may_change: false });
+        return LinkEvent::Refused(Refusal { text, may_change: false });
     }
     let ends = Instant::now() + ATTEMPT_MAX;
     if let Err(reason) = begin(address, config, handshakes) {
-        return Happened::Unreachable(reason);
+        return LinkEvent::Unreachable(reason);
     }
-    let no_answer = || Happened::Unreachable("no answer".to_owned());
+    let no_answer = || LinkEvent::Unreachable("no answer".to_owned());
     let (endpoint, connection) = match tokio::time::timeout_at(ends, first(handshakes)).await {
         Ok((endpoint, Ok(connection))) => (endpoint, connection),
         Ok((_, Err(error))) => return refused_or_unreachable(&error),
@@ -250,46 +250,46 @@ async fn first(handshakes: &mut Handshakes) -> (Endpoint, Result<Connection, Con
     std::future::pending().await
 }
 
-fn refused_or_unreachable(error: &ConnectionError) -> Happened {
+fn refused_or_unreachable(error: &ConnectionError) -> LinkEvent {
     match (RefusalCause::of_connection_error(error), error) {
-        (Some(cause), _) => Happened::Refused(Refusal { text: cause.name().to_owned(), may_change: false }),
+        (Some(cause), _) => LinkEvent::Refused(Refusal { text: cause.name().to_owned(), may_change: false }),
         (None, ConnectionError::ApplicationClosed(closed)) if closed.error_code == link::REFUSED => {
             let text = String::from_utf8_lossy(&closed.reason).into_owned();
-            Happened::Refused(Refusal { text, may_change: true })
+            LinkEvent::Refused(Refusal { text, may_change: true })
         }
-        (None, error) => Happened::Unreachable(error.to_string()),
+        (None, error) => LinkEvent::Unreachable(error.to_string()),
     }
 }
 
 /// Asks for the role. `None` if the connection has ended.
-async fn join(endpoint: Endpoint, connection: &Connection, request: &Request) -> Option<Happened> {
+async fn join(endpoint: Endpoint, connection: &Connection, request: &Request) -> Option<LinkEvent> {
     let (mut send, mut receive) = connection.open_bi().await.ok()?;
     link::write(&mut send, request).await.ok()?;
     let answer = match link::read::<Answer>(&mut receive, None).await {
         Ok(answer) => answer,
         Err(link::JoinError::Ended | link::JoinError::Cut) => return None,
-        Err(error) => return Some(Happened::Refused(Refusal { text: error.to_string(), may_change: false })),
+        Err(error) => return Some(LinkEvent::Refused(Refusal { text: error.to_string(), may_change: false })),
     };
     match answer {
         Answer::Refused { text, may_change } => {
             connection.close(link::LEFT, b"refused");
-            Some(Happened::Refused(Refusal { text, may_change }))
+            Some(LinkEvent::Refused(Refusal { text, may_change }))
         }
         Answer::Finished => {
             connection.close(link::LEFT, b"the run is over");
-            Some(Happened::Finished(endpoint))
+            Some(LinkEvent::Finished(endpoint))
         }
         Answer::Welcome { description, life, fusion_incarnation } => {
             let description = match RunDescription::open(description.as_bytes()) {
                 Ok(description) => description,
                 Err(error) => {
-                    return Some(Happened::Refused(Refusal { text: error.to_string(), may_change: false }));
+                    return Some(LinkEvent::Refused(Refusal { text: error.to_string(), may_change: false }));
                 }
             };
             let notice = tokio::task::spawn_local(notice_of(receive));
             let connection = connection.clone();
             let joined_ns = monotonic_ns();
-            Some(Happened::Joined(Box::new(Session {
+            Some(LinkEvent::Joined(Box::new(Session {
                 endpoint,
                 connection,
                 send,
@@ -315,22 +315,22 @@ async fn notice_of(mut receive: RecvStream) -> Option<Notice> {
 
 impl Session {
     /// The next event, or none after this time.
-    pub(super) async fn next(&mut self, wait: Duration) -> Happened {
+    pub(super) async fn next(&mut self, wait: Duration) -> LinkEvent {
         let Self { connection, notice, is_noticed, .. } = self;
         let received = tokio::select! {
             frame = connection.read_datagram() => match frame {
-                Ok(bytes) => return Happened::Frame(bytes.into()),
+                Ok(bytes) => return LinkEvent::Frame(bytes.into()),
                 Err(_) if *is_noticed => None,
                 // A notice may have come with the end.
                 Err(_) => timeout(CLOSING_MAX, notice).await.ok(),
             },
             ended = &mut *notice, if !*is_noticed => Some(ended),
-            () = tokio::time::sleep(wait) => return Happened::Nothing,
+            () = tokio::time::sleep(wait) => return LinkEvent::Nothing,
         };
         *is_noticed = true;
         match received {
-            Some(Ok(Some(notice))) => Happened::Noticed(notice),
-            _ => Happened::Ended,
+            Some(Ok(Some(notice))) => LinkEvent::Noticed(notice),
+            _ => LinkEvent::Ended,
         }
     }
 

@@ -6,7 +6,7 @@ use rangehound_node::system::clock::monotonic_ns;
 use rangehound_shared::record::{FusionRecord, Heading};
 use rustix::process::Signal;
 
-use crate::own_robot::{self, Asked, BEATS, asked};
+use crate::own_robot::{self, Asked, CLOCK_INTERVAL, asked};
 use crate::support::{Process, Run};
 
 /// How far clocks are apart, s.
@@ -48,7 +48,7 @@ fn control_of(id: usize) -> usize {
 /// Six robots: four with other clocks, and two with the right one. Each counts the ticks of its own clock.
 fn robots_with_other_clocks(run: &Run, gateway: std::net::SocketAddr) -> [Process; 6] {
     std::array::from_fn(|id| {
-        let before = format!("env {BEATS}={DT_S} {}", shifted(ahead_s(id)));
+        let before = format!("env {CLOCK_INTERVAL}={DT_S} {}", shifted(ahead_s(id)));
         own_robot::start(run, id, is_remote(id).then_some(gateway), &before)
     })
 }

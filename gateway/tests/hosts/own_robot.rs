@@ -28,7 +28,7 @@ const GATEWAY: &str = "RANGEHOUND_TEST_GATEWAY";
 const NAME: &str = "RANGEHOUND_TEST_RUN";
 
 /// Environment variable with the interval at which it counts the time of its own clock, s, if it does.
-pub(crate) const BEATS: &str = "RANGEHOUND_TEST_BEATS";
+pub(crate) const CLOCK_INTERVAL: &str = "RANGEHOUND_TEST_CLOCK_INTERVAL";
 
 /// The range that its radio reads at a tick, m.
 pub(crate) fn range_m(tick: u64) -> f64 {
@@ -39,7 +39,7 @@ pub(crate) fn range_m(tick: u64) -> f64 {
 const STD_M: f64 = 100.0;
 
 /// The part of the commanded speed that its wheels reach.
-pub(crate) const SLIP: f64 = 0.5;
+pub(crate) const WHEEL_SLIP: f64 = 0.5;
 
 #[derive(Debug)]
 struct Radio;
@@ -56,7 +56,7 @@ struct Wheels;
 impl Actuator for Wheels {
     fn carry_out(&mut self, command: Command) -> Command {
         println!("drive {} {}", command.speed_mps, monotonic_ns());
-        Command { speed_mps: SLIP * command.speed_mps, ..command }
+        Command { speed_mps: WHEEL_SLIP * command.speed_mps, ..command }
     }
 }
 
@@ -68,7 +68,7 @@ fn own_robot() {
     let id = id.parse().unwrap();
     println!("start 0 {}", monotonic_ns());
     let termination = Termination::listen().unwrap();
-    if let Ok(interval_s) = std::env::var(BEATS) {
+    if let Ok(interval_s) = std::env::var(CLOCK_INTERVAL) {
         let interval = Duration::from_secs_f64(interval_s.parse().unwrap());
         // Never sooner than this after the last one, however long the process was kept from running.
         std::thread::spawn(move || {
@@ -161,7 +161,7 @@ fn a_robot_with_equipment_of_its_own_takes_part_over_a_link() {
     for (tick, record) in run.worlds() {
         assert_eq!(
             Some(record.robots[0].driven.speed_mps),
-            commanded.next().map(|speed_mps| SLIP * speed_mps),
+            commanded.next().map(|speed_mps| WHEEL_SLIP * speed_mps),
             "{tick}"
         );
     }

@@ -139,8 +139,8 @@ impl Bus {
     /// # Errors
     /// [`BusError`] if the role's file cannot be written.
     pub fn take_role(&self, run: &Rendezvous, role: Role, lease: &RoleLease) -> Result<(), BusError> {
-        self.speak_as(lease.incarnation);
-        let registered = run.roster().speak_through(role, lease, self.node.id().value());
+        self.mark_messages(lease.incarnation);
+        let registered = run.roster().register_node(role, lease, self.node.id().value());
         registered.map_err(|error| BusError { what: format!("role {role}"), reason: error.to_string() })
     }
 
@@ -164,7 +164,7 @@ impl Bus {
     }
 
     /// Marks all further messages of this process with this incarnation of its role.
-    pub fn speak_as(&self, incarnation: u64) {
+    pub fn mark_messages(&self, incarnation: u64) {
         self.incarnation.set(incarnation);
     }
 

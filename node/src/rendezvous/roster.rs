@@ -116,7 +116,7 @@ impl Roster {
     ///
     /// # Errors
     /// If the role's file cannot be written.
-    pub fn take_in_succession(
+    pub fn take_when_free(
         &self,
         role: Role,
         succession: &Succession,
@@ -227,7 +227,7 @@ impl Roster {
     ///
     /// # Errors
     /// If the file cannot be written.
-    pub fn speak_through(&self, role: Role, lease: &RoleLease, node: u128) -> Result<(), RendezvousError> {
+    pub fn register_node(&self, role: Role, lease: &RoleLease, node: u128) -> Result<(), RendezvousError> {
         self.place.write(&node_file_name(role), node_entry(lease.incarnation, node).as_bytes())
     }
 
@@ -376,12 +376,12 @@ mod tests {
         assert!(!speaks(7), "nobody has had the role");
         let first = roster.take(Role::Sim).unwrap();
         assert!(!speaks(7), "of this process, which has registered none");
-        roster.speak_through(Role::Sim, &first, 7).unwrap();
+        roster.register_node(Role::Sim, &first, 7).unwrap();
         assert!(speaks(7) && !speaks(8));
         drop(first);
         let second = roster.take(Role::Sim).unwrap();
         assert!(!speaks(7), "of an earlier holder");
-        roster.speak_through(Role::Sim, &second, 8).unwrap();
+        roster.register_node(Role::Sim, &second, 8).unwrap();
         assert!(speaks(8) && !speaks(7));
     }
 
@@ -392,9 +392,9 @@ mod tests {
         let first = roster.take(Role::Fusion).unwrap();
         let succession = roster.succeed(Role::Fusion);
         let short = Duration::from_millis(20);
-        assert!(roster.take_in_succession(Role::Fusion, &succession, short).unwrap().is_none());
+        assert!(roster.take_when_free(Role::Fusion, &succession, short).unwrap().is_none());
         drop(first);
-        let second = roster.take_in_succession(Role::Fusion, &succession, Duration::from_secs(60)).unwrap().unwrap();
+        let second = roster.take_when_free(Role::Fusion, &succession, Duration::from_secs(60)).unwrap().unwrap();
         assert_eq!(second.incarnation, 2);
         assert!(roster.is_held(Role::Fusion));
     }
@@ -439,7 +439,7 @@ mod tests {
             std::thread::yield_now();
         }
         let deposer = roster.depose(Role::Fusion, silence).unwrap().unwrap();
-        let late = roster.take_in_succession(Role::Fusion, &succession, Duration::from_secs(1)).unwrap();
+        let late = roster.take_when_free(Role::Fusion, &succession, Duration::from_secs(1)).unwrap();
         assert!(late.is_none(), "{late:?}");
         assert!(deposer.is_current() && deposer.incarnation == 2 && roster.starts(Role::Fusion) == 2);
     }

@@ -5,18 +5,18 @@
 //! that follows the round trip, and the robot ([`RobotEnd`]) answers each frame. Neither end subtracts a time stamp of the
 //! other: durations travel.
 
+mod incarnation;
 mod relay;
 mod robot_end;
 mod role_holder;
 mod round_trip;
-mod run_life;
 pub mod wire;
 
+pub use incarnation::{Rejoin, RunIncarnation};
 pub use relay::{Publication, Relay};
 pub use robot_end::RobotEnd;
 pub use role_holder::{Claim, RoleHolder, silence_max_ns};
 pub use round_trip::RoundTrip;
-pub use run_life::{Rejoin, RunLife};
 
 #[cfg(test)]
 mod tests;

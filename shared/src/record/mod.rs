@@ -39,17 +39,17 @@ pub struct Heard {
     /// The first tick whose estimate uses it: the message's own, or a later one if it came late.
     pub taken_at: u64,
     /// Fusion's decision on each [`Kind`]; `None` where it was not measured, and at tick 0.
-    pub judged: JudgedKinds,
+    pub judged: GateResults,
 }
 
 /// Fusion's decision on each kind of a measurement.
-pub type JudgedKinds = [Option<Judged>; Kind::COUNT];
+pub type GateResults = [Option<GateResult>; Kind::COUNT];
 
 /// Fusion's decision on a value that was measured, and the value's agreement with its prediction.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub struct Judged {
+pub struct GateResult {
     /// The decision.
-    pub used: Use,
+    pub used: FusionDecision,
     /// The value's own normalised innovation squared, `nu^2 / S`: one degree of freedom. `None` if nothing
     /// predicted the value.
     pub normalised_square: Option<f64>,
@@ -57,7 +57,7 @@ pub struct Judged {
 
 /// Fusion's decision on a range or a bearing.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-pub enum Use {
+pub enum FusionDecision {
     /// It was fused.
     Fused,
     /// It failed the gate.
@@ -66,7 +66,7 @@ pub enum Use {
     Distrusted,
 }
 
-impl Use {
+impl FusionDecision {
     /// All decisions.
     pub const ALL: [Self; 3] = [Self::Fused, Self::Rejected, Self::Distrusted];
 
@@ -228,15 +228,15 @@ impl Exchange {
     }
 }
 
-fn judged_fields(judged: &mut Option<Judged>, [used_name, square_name]: [&str; 2], fields: &mut impl Fields) {
+fn judged_fields(judged: &mut Option<GateResult>, [used_name, square_name]: [&str; 2], fields: &mut impl Fields) {
     let mut used = judged.map_or(0, |judged| judged.used as u64 + 1);
     // A value without a prediction has no normalised innovation.
     let mut square = judged.and_then(|judged| judged.normalised_square).unwrap_or(f64::NAN);
     fields.whole(used_name, &mut used);
     fields.number(square_name, &mut square);
-    let used = used.checked_sub(1).and_then(|used| Use::ALL.get(usize::try_from(used).ok()?).copied());
+    let used = used.checked_sub(1).and_then(|used| FusionDecision::ALL.get(usize::try_from(used).ok()?).copied());
     let normalised_square = Some(square).filter(|square| !square.is_nan());
-    *judged = used.map(|used| Judged { used, normalised_square });
+    *judged = used.map(|used| GateResult { used, normalised_square });
 }
 
 fn pose_fields(pose: &mut Pose, fields: &mut impl Fields) {
@@ -374,8 +374,12 @@ mod tests {
         estimate.state[..2].copy_from_slice(&[0.5, -0.5]);
         estimate.covariance[..4].copy_from_slice(&[4.0, 1.0, 1.0, 2.0]);
         let heard = Heard::default();
-        let judged = [(Use::Rejected, Some(20.0)), (Use::Fused, None), (Use::Distrusted, Some(0.5))]
-            .map(|(used, normalised_square)| Some(Judged { used, normalised_square }));
+        let judged = [
+            (FusionDecision::Rejected, Some(20.0)),
+            (FusionDecision::Fused, None),
+            (FusionDecision::Distrusted, Some(0.5)),
+        ]
+        .map(|(used, normalised_square)| Some(GateResult { used, normalised_square }));
         let late = Heard {
             measurement: Measurement::new(
                 Pose { height_m: 3.5, heading_rad: 0.7, covariance_m2: [0.1, 0.2, 0.3], ..Pose::at([1.0, -2.0]) },

@@ -31,13 +31,13 @@ pub enum Unusable {
 
 /// Writer of the slots: chooses the next slot and makes its bytes.
 #[derive(Debug, Default)]
-pub struct Turns {
+pub struct SlotWriter {
     run_id: u64,
     sequence: u64,
     bytes: Vec<u8>,
 }
 
-impl Turns {
+impl SlotWriter {
     /// A writer for a run after the state of this number; 0 if there is none.
     #[must_use]
     pub fn after(run_id: u64, sequence: u64) -> Self {

@@ -5,7 +5,7 @@ use rangehound_shared::STATE_DIM_MAX;
 use rangehound_shared::measurement::Kind;
 use rangehound_shared::message::{Estimate, Stages};
 use rangehound_shared::record::digest::Digest;
-use rangehound_shared::record::{Exchange, RobotRecord, Use};
+use rangehound_shared::record::{Exchange, FusionDecision, RobotRecord};
 use rangehound_shared::robot_set::RobotSet;
 use rangehound_shared::scenario::{Scenario, Source};
 
@@ -54,7 +54,7 @@ type Sensor = [Outcomes; Kind::COUNT];
 /// One sensor's measurements of a kind.
 #[derive(Debug, Clone, Copy, Default)]
 struct Outcomes {
-    counts: [u64; Use::ALL.len()],
+    counts: [u64; FusionDecision::ALL.len()],
     nis: Mean,
     nis_capped: Mean,
 }
@@ -228,7 +228,7 @@ impl Accumulator {
             .map(|(robot, sensor)| SensorEvidence {
                 name: robot.label.clone(),
                 ranges: sensor.iter().map(Outcomes::all).sum(),
-                fused: sensor.iter().map(|outcomes| outcomes.counts[Use::Fused as usize]).sum(),
+                fused: sensor.iter().map(|outcomes| outcomes.counts[FusionDecision::Fused as usize]).sum(),
             })
             .collect();
         // A faulty sensor does not count against the result of the others.
@@ -254,7 +254,7 @@ impl Accumulator {
             truth,
             position_std_m: median(&mut traces_m2).unwrap_or(0.0).max(0.0).sqrt(),
             median_distance_m: self.distances_m.at(0.5),
-            widened_share: self.gate_widened as f64 / self.ticks.max(1) as f64,
+            raised_noise_share: self.gate_widened as f64 / self.ticks.max(1) as f64,
             range_std_m: median(&mut stds_m),
             bearing_std_rad: median(&mut stds_rad),
             recording,
@@ -347,7 +347,7 @@ pub fn position_error(estimate: &Estimate, truth_m: Vector2<f64>) -> (f64, Optio
 mod tests {
     use rangehound_shared::measurement::{Measurement, Pose};
     use rangehound_shared::message::Command;
-    use rangehound_shared::record::{Heard, Judged};
+    use rangehound_shared::record::{GateResult, Heard};
 
     use super::*;
 
@@ -387,16 +387,17 @@ mod tests {
 
     #[test]
     fn each_sensor_has_the_outcome_of_its_ranges() {
-        let exchange = |judged: Option<(Use, Option<f64>)>| Exchange {
+        let exchange = |judged: Option<(FusionDecision, Option<f64>)>| Exchange {
             heard: Some(Heard {
                 measurement: Measurement::new(Pose::default(), judged.map(|_| (1.0, 1.0))),
                 taken_at: 1,
-                judged: [judged.map(|(used, normalised_square)| Judged { used, normalised_square }), None],
+                judged: [judged.map(|(used, normalised_square)| GateResult { used, normalised_square }), None],
             }),
             command: Command::default(),
         };
         let mut totals = Accumulator::new().unwrap();
-        let (fused, rejected, distrusted) = (Use::Fused, Use::Rejected, Use::Distrusted);
+        let (fused, rejected, distrusted) =
+            (FusionDecision::Fused, FusionDecision::Rejected, FusionDecision::Distrusted);
         let estimate = Estimate::default();
         totals.add_sensors(
             &estimate,
@@ -418,8 +419,8 @@ mod tests {
     fn bearings_are_counted_beside_ranges_and_both_as_published() {
         let both = Measurement::new(Pose::at([3.0, 4.0]), Some((5.5, 0.1))).with_bearing(Some((0.5, 0.02)));
         let alone = Measurement::new(Pose::at([3.0, 4.0]), None).with_bearing(Some((0.5, 0.02)));
-        let [fused, rejected] = [(Use::Fused, 0.5), (Use::Rejected, 20.0)]
-            .map(|(used, square)| Some(Judged { used, normalised_square: Some(square) }));
+        let [fused, rejected] = [(FusionDecision::Fused, 0.5), (FusionDecision::Rejected, 20.0)]
+            .map(|(used, square)| Some(GateResult { used, normalised_square: Some(square) }));
         let exchange = |measurement, judged| Exchange {
             heard: Some(Heard { measurement, taken_at: 1, judged }),
             command: Command::default(),

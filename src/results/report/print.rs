@@ -110,8 +110,8 @@ impl Report {
             writeln!(f, "{}", field_in(DOUBTFUL, "sensor", text))?;
         }
         if self.gate_widened > 0 {
-            let times = format!("at {}: most sensors failed it together", counted(self.gate_widened, "tick"));
-            writeln!(f, "{}", field_in(DOUBTFUL, "gate widened", times))?;
+            let times = format!("at {}: most sensors failed the gate together", counted(self.gate_widened, "tick"));
+            writeln!(f, "{}", field_in(DOUBTFUL, "noise raised", times))?;
         }
         Ok(())
     }

@@ -51,7 +51,7 @@ pub struct Evidence {
     /// Median of all ranges, and of the distances of bearings without a range, m.
     pub median_distance_m: f64,
     /// Share of the ticks at which the noise was widened, as most ranges failed the gate together.
-    pub widened_share: f64,
+    pub raised_noise_share: f64,
     /// Standard deviation that is assumed of a range, m: the median of the sensors'; `None` if none measures ranges.
     pub range_std_m: Option<f64>,
     /// The same of a bearing, rad.
@@ -186,7 +186,7 @@ impl Symptoms {
             nothing_fused: fused == 0,
             rejects_most,
             rejects_many: !rejects_most && others_share > REJECTED_SHARE_MAX
-                || evidence.widened_share > WIDENED_SHARE_MAX,
+                || evidence.raised_noise_share > WIDENED_SHARE_MAX,
             misfits: is_overconfident(&evidence.nis_capped) || is_overconfident(&evidence.nis),
             errs: is_overconfident(&evidence.anees),
             is_vague: fused > 0 && evidence.position_std_m > VAGUE_SHARE * evidence.median_distance_m,
@@ -406,7 +406,7 @@ mod tests {
             truth: Some(TruthEvidence { covered_share: 1.0, span_s: [0.0, 10.0], run_span_s: [0.0, 10.0] }),
             position_std_m: 0.1,
             median_distance_m: 5.0,
-            widened_share: 0.0,
+            raised_noise_share: 0.0,
             range_std_m: Some(0.1),
             bearing_std_rad: None,
             recording: Some(RecordingEvidence::default()),
@@ -468,7 +468,7 @@ mod tests {
         assert!(reasons(&Evidence { anees: figure(30.0), recording: None, ..good() }).contains("--stand-off"));
         let rejected = ["A", "B", "C"].map(|name| sensor(name, 100, 60));
         assert!(reasons(&Evidence { sensors: rejected.into(), nis: figure(0.9), ..good() }).contains("calibrate"));
-        assert!(reasons(&Evidence { widened_share: 0.3, ..good() }).contains("calibrate"));
+        assert!(reasons(&Evidence { raised_noise_share: 0.3, ..good() }).contains("calibrate"));
     }
 
     #[test]

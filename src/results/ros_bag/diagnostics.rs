@@ -1,6 +1,6 @@
 //! The diagnostics of the estimate for ROS. The bag writes them, and the node of the Python package publishes them.
 
-use rangehound_shared::record::{FusionRecord, Use};
+use rangehound_shared::record::{FusionDecision, FusionRecord};
 
 use crate::results::report::position_covariance;
 
@@ -19,7 +19,7 @@ pub struct Status {
 
 /// The facts of a tick.
 #[derive(Debug, Clone, PartialEq, Default)]
-pub struct Facts {
+pub struct TickDiagnostics {
     /// The tick.
     pub tick: u64,
     /// The run's last tick.
@@ -38,7 +38,7 @@ pub struct Facts {
     pub trace_m2: f64,
 }
 
-impl Facts {
+impl TickDiagnostics {
     /// Those of a recorded tick of a run that has so many.
     #[must_use]
     pub fn of(tick: u64, ticks: u64, record: &FusionRecord) -> Self {
@@ -47,7 +47,7 @@ impl Facts {
         let silent = robots().filter(|(_, exchange)| is_silent(exchange.heard.map(|heard| heard.taken_at)));
         let distrusted = robots().filter(|(_, exchange)| {
             let judged = exchange.heard.map_or([None; 2], |heard| heard.judged);
-            judged.iter().flatten().any(|judged| judged.used == Use::Distrusted)
+            judged.iter().flatten().any(|judged| judged.used == FusionDecision::Distrusted)
         });
         let estimate = &record.estimate;
         Self {
@@ -101,14 +101,14 @@ fn listed(robots: &[usize]) -> String {
 #[cfg(test)]
 mod tests {
     use rangehound_shared::message::{Estimate, Stages};
-    use rangehound_shared::record::{Exchange, Heard, Judged};
+    use rangehound_shared::record::{Exchange, GateResult, Heard};
 
     use super::*;
 
-    fn record(missing: u64, stages: Stages, heard: &[Option<(u64, Use)>]) -> FusionRecord {
+    fn record(missing: u64, stages: Stages, heard: &[Option<(u64, FusionDecision)>]) -> FusionRecord {
         let mut estimate = Estimate { state_dim: 2, fused: 1, missing, stages, ..Estimate::default() };
         estimate.covariance[..4].copy_from_slice(&[0.5, 0.1, 0.1, 0.25]);
-        let judged = |used| [None, Some(Judged { used, normalised_square: None })];
+        let judged = |used| [None, Some(GateResult { used, normalised_square: None })];
         let heard = heard
             .iter()
             .map(|heard| heard.map(|(taken_at, used)| Heard { taken_at, judged: judged(used), ..Heard::default() }));
@@ -119,8 +119,13 @@ mod tests {
     #[test]
     fn silent_and_distrusted_robots_are_named() {
         let stages = Stages { last_range_ns: 1_000, sent_ns: 13_340, ..Stages::default() };
-        let heard = [Some((7, Use::Fused)), None, Some((7, Use::Distrusted)), Some((9, Use::Fused))];
-        let status = Facts::of(7, 600, &record(2, stages, &heard)).status(3);
+        let heard = [
+            Some((7, FusionDecision::Fused)),
+            None,
+            Some((7, FusionDecision::Distrusted)),
+            Some((9, FusionDecision::Fused)),
+        ];
+        let status = TickDiagnostics::of(7, 600, &record(2, stages, &heard)).status(3);
         assert_eq!(
             (status.level, status.message),
             (1, "measurements are missing or rejected, or robots are distrusted")
@@ -141,7 +146,8 @@ mod tests {
 
     #[test]
     fn a_tick_whose_measurements_are_all_fused_is_well_and_a_time_that_was_not_taken_is_left_out() {
-        let status = Facts::of(7, 600, &record(0, Stages::default(), &[Some((7, Use::Fused))])).status(0);
+        let status =
+            TickDiagnostics::of(7, 600, &record(0, Stages::default(), &[Some((7, FusionDecision::Fused))])).status(0);
         assert_eq!((status.level, status.message), (0, "all fused at this tick"));
         assert!(!status.values.iter().any(|(key, _)| *key == "range to heading, us"), "{status:?}");
         assert!(status.values.contains(&("silent robots", "none".to_owned())));

@@ -6,7 +6,7 @@ use std::f64::consts::TAU;
 use nalgebra::{Matrix2, Vector2};
 use rangehound_shared::measurement::Kind;
 use rangehound_shared::message::Command;
-use rangehound_shared::record::{Exchange, Use};
+use rangehound_shared::record::{Exchange, FusionDecision};
 
 use crate::draw::ellipse::Ellipse;
 
@@ -65,7 +65,7 @@ pub struct Marker {
 
 /// The drawing of a robot that has reported where it is.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Seen {
+pub struct RobotMarkers {
     /// Where it is.
     pub place_m: [f64; 2],
     /// Its command.
@@ -74,13 +74,13 @@ pub struct Seen {
     pub range: Option<(f64, bool)>,
 }
 
-impl Seen {
+impl RobotMarkers {
     /// That of fusion's exchange with a robot.
     #[must_use]
     pub fn of(exchange: &Exchange) -> Option<Self> {
         let heard = exchange.heard?;
         let [judged, _] = heard.judged;
-        let is_rejected = judged.is_some_and(|judged| judged.used != Use::Fused);
+        let is_rejected = judged.is_some_and(|judged| judged.used != FusionDecision::Fused);
         let range = heard.measurement.of(Kind::Range).map(|(range_m, _)| (range_m, is_rejected));
         let place_m = [heard.measurement.pose.x_m, heard.measurement.pose.y_m];
         Some(Self { place_m, command: exchange.command, range })
@@ -90,10 +90,10 @@ impl Seen {
 /// The markers for an estimated position with its covariance, and a team. There are as many for each tick, in the same order: those of
 /// robots that were not heard are deleted.
 #[must_use]
-pub fn markers(position_m: [f64; 2], covariance_m2: &Matrix2<f64>, robots: &[Option<Seen>]) -> Vec<Marker> {
+pub fn markers(position_m: [f64; 2], covariance_m2: &Matrix2<f64>, robots: &[Option<RobotMarkers>]) -> Vec<Marker> {
     let ellipse = ellipse(position_m, covariance_m2);
     let arrow_m = ARROW_MIN_M.max(ellipse.scale_m[0] / 4.0);
-    let each = |draw: &dyn Fn(usize, Option<&Seen>) -> Marker| -> Vec<Marker> {
+    let each = |draw: &dyn Fn(usize, Option<&RobotMarkers>) -> Marker| -> Vec<Marker> {
         robots.iter().enumerate().map(|(id, seen)| draw(id, seen.as_ref())).collect()
     };
     let headings = each(&|id, seen| heading(id, seen, arrow_m));
@@ -114,20 +114,22 @@ fn ellipse(position_m: [f64; 2], covariance_m2: &Matrix2<f64>) -> Marker {
     Marker { is_shown: true, position_m, yaw_rad, scale_m, ..hidden("ellipse", 0, Shape::Cylinder, ESTIMATE) }
 }
 
-fn heading(id: usize, seen: Option<&Seen>, long_m: f64) -> Marker {
+fn heading(id: usize, seen: Option<&RobotMarkers>, long_m: f64) -> Marker {
     let hidden = hidden("heading", id, Shape::Arrow, ROBOT);
-    let Some(Seen { place_m, command, .. }) = seen.filter(|seen| seen.command.speed_mps > 0.0) else { return hidden };
+    let Some(RobotMarkers { place_m, command, .. }) = seen.filter(|seen| seen.command.speed_mps > 0.0) else {
+        return hidden;
+    };
     let scale_m = [long_m, long_m / 5.0, long_m / 5.0];
     Marker { is_shown: true, position_m: *place_m, yaw_rad: command.heading_rad, scale_m, ..hidden }
 }
 
-fn ray(id: usize, seen: Option<&Seen>, target_m: [f64; 2]) -> Marker {
+fn ray(id: usize, seen: Option<&RobotMarkers>, target_m: [f64; 2]) -> Marker {
     let hidden = hidden("ray", id, Shape::LineStrip, MEASURED);
-    let Some(Seen { place_m, .. }) = seen else { return hidden };
+    let Some(RobotMarkers { place_m, .. }) = seen else { return hidden };
     Marker { is_shown: true, points_m: vec![*place_m, target_m], ..hidden }
 }
 
-fn circle(id: usize, seen: Option<&Seen>) -> Marker {
+fn circle(id: usize, seen: Option<&RobotMarkers>) -> Marker {
     let hidden = hidden("range", id, Shape::LineStrip, MEASURED);
     let Some((seen, (radius_m, is_rejected))) = seen.and_then(|seen| Some((seen, seen.range?))) else { return hidden };
     let [x_m, y_m] = seen.place_m;
@@ -156,12 +158,12 @@ fn hidden(namespace: &'static str, id: usize, shape: Shape, colour: [f32; 4]) ->
 #[cfg(test)]
 mod tests {
     use rangehound_shared::measurement::{Measurement, Pose};
-    use rangehound_shared::record::{Heard, Judged};
+    use rangehound_shared::record::{GateResult, Heard};
 
     use super::*;
 
-    fn seen(range: Option<(f64, bool)>, speed_mps: f64) -> Seen {
-        Seen { place_m: [3.0, -1.0], command: Command { heading_rad: 0.25, speed_mps }, range }
+    fn seen(range: Option<(f64, bool)>, speed_mps: f64) -> RobotMarkers {
+        RobotMarkers { place_m: [3.0, -1.0], command: Command { heading_rad: 0.25, speed_mps }, range }
     }
 
     #[test]
@@ -214,12 +216,14 @@ mod tests {
     #[test]
     fn the_markers_of_a_robot_show_the_reports_that_fusion_heard() {
         let command = Command { heading_rad: 0.25, speed_mps: 1.0 };
-        assert_eq!(Seen::of(&Exchange { heard: None, command }), None);
-        for (used, is_rejected) in [(Use::Fused, false), (Use::Rejected, true), (Use::Distrusted, true)] {
+        assert_eq!(RobotMarkers::of(&Exchange { heard: None, command }), None);
+        for (used, is_rejected) in
+            [(FusionDecision::Fused, false), (FusionDecision::Rejected, true), (FusionDecision::Distrusted, true)]
+        {
             let measurement = Measurement::new(Pose::at([3.0, -1.0]), Some((2.0, 0.1)));
-            let judged = [Some(Judged { used, normalised_square: None }), None];
+            let judged = [Some(GateResult { used, normalised_square: None }), None];
             let heard = Some(Heard { measurement, judged, ..Heard::default() });
-            assert_eq!(Seen::of(&Exchange { heard, command }), Some(seen(Some((2.0, is_rejected)), 1.0)));
+            assert_eq!(RobotMarkers::of(&Exchange { heard, command }), Some(seen(Some((2.0, is_rejected)), 1.0)));
         }
     }
 }

@@ -7,7 +7,7 @@ use crate::files::bag::cdr::Writer;
 use crate::files::bag::interfaces::{self, Interface};
 use crate::results::ros_bag::diagnostics::Status;
 use crate::results::ros_bag::markers::Marker;
-use crate::results::ros_bag::planar::{Moving, Placed};
+use crate::results::ros_bag::planar::{Moving, PlanarPose};
 
 /// The frame of all positions.
 const MAP: &str = "map";
@@ -102,7 +102,7 @@ impl Messages {
     }
 
     /// `geometry_msgs/PoseWithCovarianceStamped`.
-    pub fn pose_with_covariance(&mut self, placed: &Placed) {
+    pub fn pose_with_covariance(&mut self, placed: &PlanarPose) {
         self.begin(MAP);
         self.placed(placed);
     }
@@ -116,7 +116,7 @@ impl Messages {
     }
 
     /// `nav_msgs/Odometry` of the target: the twist is in its own frame.
-    pub fn odometry(&mut self, target: &Placed, moving: &Moving) {
+    pub fn odometry(&mut self, target: &PlanarPose, moving: &Moving) {
         self.begin(MAP);
         self.out.text(TARGET);
         self.placed(target);
@@ -156,7 +156,7 @@ impl Messages {
     }
 
     /// `tf2_msgs/TFMessage`: the frames of the target and of robots by id.
-    pub fn frames<'a>(&mut self, target: &Placed, robots: impl ExactSizeIterator<Item = (usize, &'a Placed)>) {
+    pub fn frames<'a>(&mut self, target: &PlanarPose, robots: impl ExactSizeIterator<Item = (usize, &'a PlanarPose)>) {
         self.out.begin();
         self.out.u32(robots.len() as u32 + 1);
         self.frame(TARGET, target);
@@ -226,7 +226,7 @@ impl Messages {
         }
     }
 
-    fn frame(&mut self, child: &str, placed: &Placed) {
+    fn frame(&mut self, child: &str, placed: &PlanarPose) {
         self.header(MAP);
         self.out.text(child);
         self.pose(placed.position_m, placed.yaw_rad);
@@ -245,7 +245,7 @@ impl Messages {
         self.out.text(frame);
     }
 
-    fn placed(&mut self, placed: &Placed) {
+    fn placed(&mut self, placed: &PlanarPose) {
         self.pose(placed.position_m, placed.yaw_rad);
         self.out.f64s(&placed.covariance());
     }
@@ -273,8 +273,8 @@ mod tests {
     use crate::files::bag::cdr::{Value, read};
     use crate::files::bag::definition::Types;
     use crate::files::bag::path::Path;
-    use crate::results::ros_bag::diagnostics::Facts;
-    use crate::results::ros_bag::markers::{Seen, markers};
+    use crate::results::ros_bag::diagnostics::TickDiagnostics;
+    use crate::results::ros_bag::markers::{RobotMarkers, markers};
     use crate::results::ros_bag::planar::UNKNOWN;
 
     fn number(messages: &Messages, topic: Topic, path: &str) -> f64 {
@@ -296,7 +296,7 @@ mod tests {
         }
         let mut messages = Messages::default();
         messages.set_stamp(5_000_000_007);
-        messages.odometry(&Placed::target(&estimate, true), &Moving::target(&estimate, true));
+        messages.odometry(&PlanarPose::target(&estimate, true), &Moving::target(&estimate, true));
         let at = |path: &str| number(&messages, Topic::TargetOdometry, path);
         assert_eq!((at("header.stamp.sec"), at("header.stamp.nanosec")), (5.0, 7.0));
         assert_eq!((at("pose.pose.position.x"), at("pose.pose.position.y")), (1.0, 2.0));
@@ -311,7 +311,7 @@ mod tests {
         assert!((at("twist.covariance[0]") - along).abs() < 1e-12);
         assert!((at("twist.covariance[0]") + at("twist.covariance[7]") - 3.0).abs() < 1e-12, "a turn keeps the trace");
         assert_eq!(at("twist.covariance[35]"), UNKNOWN);
-        messages.odometry(&Placed::target(&estimate, false), &Moving::target(&estimate, false));
+        messages.odometry(&PlanarPose::target(&estimate, false), &Moving::target(&estimate, false));
         let at = |path: &str| number(&messages, Topic::TargetOdometry, path);
         assert_eq!(
             (at("twist.twist.linear.x"), at("twist.covariance[0]")),
@@ -333,18 +333,18 @@ mod tests {
         messages.twist(3, [1.5, -0.5]);
         assert_eq!(number(&messages, Topic::Twist(3), "twist.linear.x"), 1.5);
         assert_eq!(number(&messages, Topic::Twist(3), "twist.angular.z"), -0.5);
-        messages.pose_with_covariance(&Placed::robot(&Pose { height_m: 1.5, ..Pose::at([1.0, 2.0]) }));
+        messages.pose_with_covariance(&PlanarPose::robot(&Pose { height_m: 1.5, ..Pose::at([1.0, 2.0]) }));
         assert_eq!(number(&messages, Topic::Pose(3), "pose.pose.position.z"), 1.5);
         messages.truth(&[7.0, 8.0], false);
         assert_eq!(number(&messages, Topic::Truth, "pose.position.y"), 8.0);
-        let placed = Placed::robot(&Pose::at([1.0, 2.0]));
+        let placed = PlanarPose::robot(&Pose::at([1.0, 2.0]));
         messages.frames(&placed, [(0, &placed), (12, &placed)].into_iter());
         assert_eq!(number(&messages, Topic::Frames, "transforms[2].transform.translation.y"), 2.0);
     }
 
     #[test]
     fn markers_and_diagnostics_have_their_fields_where_ros_expects_them() {
-        let seen = Seen { place_m: [3.0, -1.0], command: Command::default(), range: None };
+        let seen = RobotMarkers { place_m: [3.0, -1.0], command: Command::default(), range: None };
         let mut messages = Messages::default();
         messages.set_stamp(5_000_000_007);
         messages.markers(&markers([5.0, 6.0], &Matrix2::identity(), &[Some(seen), None]));
@@ -357,7 +357,7 @@ mod tests {
             [1.0, 2.0, 7.0]
         );
         assert_eq!(at("markers[6].mesh_use_embedded_materials"), 0.0);
-        messages.diagnostics(&Facts::default().status(2));
+        messages.diagnostics(&TickDiagnostics::default().status(2));
         assert_eq!(number(&messages, Topic::Diagnostics, "status[0].level"), 1.0);
         let types = Types::parse(interfaces::DIAGNOSTICS.name, &interfaces::DIAGNOSTICS.text()).unwrap();
         let mut values = Vec::new();

@@ -48,7 +48,7 @@ pub fn has_velocity(scenario: &Scenario) -> bool {
 
 /// A pose in the plane, or above it, with its covariance.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Placed {
+pub struct PlanarPose {
     /// Position; z is the height above the plane in which the target moves.
     pub position_m: [f64; 3],
     /// Rotation about the vertical.
@@ -57,7 +57,7 @@ pub struct Placed {
     pub covariance: [[f64; 3]; 3],
 }
 
-impl Placed {
+impl PlanarPose {
     /// A robot's pose as it reported it.
     #[must_use]
     pub fn robot(pose: &Pose) -> Self {

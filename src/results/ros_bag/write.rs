@@ -10,10 +10,10 @@ use mcap::{Compression, McapError, WriteOptions};
 use rangehound_shared::message::Estimate;
 use rangehound_shared::scenario::{Scenario, Source};
 
-use super::diagnostics::Facts;
-use super::markers::{Seen, markers};
+use super::diagnostics::TickDiagnostics;
+use super::markers::{RobotMarkers, markers};
 use super::messages::{Messages, Topic};
-use super::planar::{self, Controller, Moving, Placed};
+use super::planar::{self, Controller, Moving, PlanarPose};
 use crate::results::frame::Frame;
 use crate::results::report::position_covariance;
 use crate::results::run_mcap::write::{Counting, Written};
@@ -83,10 +83,10 @@ pub struct BagWriter<W: Write + Seek> {
 struct Newest {
     time_s: f64,
     estimate: Estimate,
-    robots: BTreeMap<usize, Placed>,
+    robots: BTreeMap<usize, PlanarPose>,
     /// The drawing of each robot.
-    seen: Vec<Option<Seen>>,
-    facts: Facts,
+    seen: Vec<Option<RobotMarkers>>,
+    facts: TickDiagnostics,
 }
 
 impl<W: Write + Seek> BagWriter<W> {
@@ -143,7 +143,7 @@ impl<W: Write + Seek> BagWriter<W> {
         seen.resize(frame.fusion.exchanges.len(), None);
         for (id, exchange) in frame.fusion.exchanges.iter().enumerate() {
             if let Some(heard) = exchange.heard {
-                let placed = Placed::robot(&heard.measurement.pose);
+                let placed = PlanarPose::robot(&heard.measurement.pose);
                 self.messages.pose_with_covariance(&placed);
                 self.put(Topic::Pose(id))?;
                 if !self.is_recording {
@@ -153,7 +153,7 @@ impl<W: Write + Seek> BagWriter<W> {
                 robots.insert(id, placed);
                 // The range of an earlier tick of this stamp counts.
                 let before = seen[id].and_then(|before| before.range);
-                seen[id] = Seen::of(exchange).map(|now| Seen { range: now.range.or(before), ..now });
+                seen[id] = RobotMarkers::of(exchange).map(|now| RobotMarkers { range: now.range.or(before), ..now });
                 if let Some((range_m, std_m)) = heard.measurement.range() {
                     self.messages.range(id, range_m, std_m);
                     self.put(Topic::Range(id))?;
@@ -169,7 +169,7 @@ impl<W: Write + Seek> BagWriter<W> {
             }
         }
         self.rejected += frame.fusion.estimate.rejected;
-        let facts = Facts::of(frame.tick, self.ticks, &frame.fusion);
+        let facts = TickDiagnostics::of(frame.tick, self.ticks, &frame.fusion);
         self.newest = Some(Newest { time_s, estimate: frame.fusion.estimate, robots, seen, facts });
         Ok(Written::Taken)
     }
@@ -188,7 +188,7 @@ impl<W: Write + Seek> BagWriter<W> {
     fn put_newest(&mut self, is_last: bool) -> Result<(), McapError> {
         let Some(Newest { time_s, estimate, robots, seen, facts }) = self.newest.take() else { return Ok(()) };
         let stamp_ns = self.set_stamp(time_s);
-        let target = Placed::target(&estimate, self.has_velocity);
+        let target = PlanarPose::target(&estimate, self.has_velocity);
         self.messages.pose_with_covariance(&target);
         self.put(Topic::TargetPose)?;
         self.messages.odometry(&target, &Moving::target(&estimate, self.has_velocity));

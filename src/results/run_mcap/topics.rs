@@ -4,7 +4,7 @@ use rangehound_shared::measurement::{Measurement, Pose};
 use rangehound_shared::message::{Command, Estimate as EstimateOfFusion, Stages as StagesOfFusion};
 use rangehound_shared::record::digest::Digest;
 use rangehound_shared::record::{
-    Exchange, FusionRecord, Heading as Followed, Heard, Judged, RobotRecord, Use, WorldRecord,
+    Exchange, FusionDecision, FusionRecord, GateResult, Heading as Followed, Heard, RobotRecord, WorldRecord,
 };
 use rangehound_shared::robot_set::RobotSet;
 use rangehound_shared::scenario::{Scenario, bounds};
@@ -358,10 +358,10 @@ fn estimate_of(message: &Estimate, state_dim: usize) -> Option<EstimateOfFusion>
 }
 
 /// Fusion's decision with this name; `Some(None)` without one, and `None` for an unknown name.
-fn judged_of(name: Option<&str>, normalised_square: Option<f64>) -> Option<Option<Judged>> {
+fn judged_of(name: Option<&str>, normalised_square: Option<f64>) -> Option<Option<GateResult>> {
     let Some(name) = name else { return Some(None) };
-    let used = Use::ALL.into_iter().find(|used| used.name() == name)?;
-    Some(Some(Judged { used, normalised_square: normalised_square.filter(|square| !square.is_nan()) }))
+    let used = FusionDecision::ALL.into_iter().find(|used| used.name() == name)?;
+    Some(Some(GateResult { used, normalised_square: normalised_square.filter(|square| !square.is_nan()) }))
 }
 
 /// The robots with these ids; `None` if one is not a robot's.

@@ -153,7 +153,7 @@ pub(super) fn judge(problem: &Problem, fits: &[Fit]) -> (Findings, Option<Fit>) 
         return (findings, None);
     }
     let time = correlation(&by_sensor(problem, best), f64::INFINITY);
-    let mut judged: Vec<Judged<'_>> = fits.iter().filter_map(|fit| Judged::new(problem, fit, time)).collect();
+    let mut judged: Vec<GateResult<'_>> = fits.iter().filter_map(|fit| GateResult::new(problem, fit, time)).collect();
     judged.sort_by(|a, b| a.score.total_cmp(&b.score));
     let mut undetermined = Vec::new();
     judged.retain(|one| {
@@ -209,7 +209,7 @@ pub(super) fn judge(problem: &Problem, fits: &[Fit]) -> (Findings, Option<Fit>) 
 const WEIGHT_MIN: f64 = 0.05;
 
 /// A fit with the information of its data: correlated residuals count less than their number.
-struct Judged<'a> {
+struct GateResult<'a> {
     fit: &'a Fit,
     prior_stds: Vec<f64>,
     /// Negative logarithm of the evidence.
@@ -217,7 +217,7 @@ struct Judged<'a> {
     covariance: DMatrix<f64>,
 }
 
-impl<'a> Judged<'a> {
+impl<'a> GateResult<'a> {
     /// The evidence (Laplace) with the likelihood to the power of 1 / `time`.
     fn new(problem: &Problem, fit: &'a Fit, time: f64) -> Option<Self> {
         let prior_stds = fit.model.prior_stds(problem.sensors, problem.span_m);
@@ -245,7 +245,7 @@ impl<'a> Judged<'a> {
 }
 
 /// The mean of one error over models, weighted by their evidence, and its interval; `None` if no model has it.
-fn averaged(judged: &[Judged<'_>], index: impl Fn(Model) -> Option<usize>) -> Option<Measured> {
+fn averaged(judged: &[GateResult<'_>], index: impl Fn(Model) -> Option<usize>) -> Option<Measured> {
     judged.iter().find_map(|one| index(one.fit.model))?;
     let least = judged.first()?.score;
     // A model without the error has the value 0 with certainty.

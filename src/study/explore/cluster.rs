@@ -8,7 +8,7 @@ use rand::SeedableRng as _;
 use rand_chacha::ChaCha8Rng;
 use rangehound_shared::protocol::wake::{Answers, Event};
 use rangehound_shared::scenario::{Clock, Scenario};
-use rangehound_shared::sealed::slots::Turns;
+use rangehound_shared::sealed::slots::SlotWriter;
 
 use super::checker::Checker;
 use super::disk::Disk;
@@ -127,7 +127,7 @@ pub(super) struct Cluster<'a> {
     /// Faults of processes that will take the lead.
     pub(super) successor_faults: Vec<usize>,
     pub(super) sim_disk: Disk,
-    pub(super) sim_turns: Turns,
+    pub(super) sim_writer: SlotWriter,
     /// Fusion's checkpoint files; the last one is the one with the name.
     pub(super) disks: Vec<Disk>,
     /// By [`WaitGroup`](rangehound_shared::protocol::wake::WaitGroup).
@@ -135,7 +135,7 @@ pub(super) struct Cluster<'a> {
     pub(super) supervisor: Supervisor,
     pub(super) gateway: Gateway,
     /// How often the run was resumed.
-    pub(super) run_life: u64,
+    pub(super) incarnation: u64,
     pub(super) is_finished: bool,
     pub(super) checker: Checker,
     pub(super) counts: Counts,
@@ -175,12 +175,12 @@ impl<'a> Cluster<'a> {
             lead: Lead::default(),
             successor_faults: Vec::new(),
             sim_disk: Disk::default(),
-            sim_turns: Turns::default(),
+            sim_writer: SlotWriter::default(),
             disks: vec![Disk::default()],
             groups: [GroupState::default(); 3],
             supervisor: Supervisor::new(plan),
             gateway: Gateway::default(),
-            run_life: 0,
+            incarnation: 0,
             is_finished: false,
             checker: Checker::new(scenario, undisturbed, plan),
             counts: Counts::default(),

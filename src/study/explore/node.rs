@@ -4,7 +4,7 @@ use rangehound_fusion::leader::Leader;
 use rangehound_fusion::standby::Standby;
 use rangehound_robot::pose::PoseSource;
 use rangehound_robot::sensor::Sensor;
-use rangehound_shared::sealed::slots::Turns;
+use rangehound_shared::sealed::slots::SlotWriter;
 use rangehound_sim::machine as sim;
 
 use super::checker::robot::RobotChecker;
@@ -151,7 +151,7 @@ pub(super) struct StandingBy {
 pub(super) struct Successor {
     pub(super) lease: Lease,
     /// The state that it goes on from, once it has read it.
-    pub(super) read: Option<(Leader, Turns)>,
+    pub(super) read: Option<(Leader, SlotWriter)>,
 }
 
 /// A process that leads.
@@ -160,7 +160,7 @@ pub(super) struct Leading {
     pub(super) lease: Lease,
     /// Its checkpoint file, if it has one.
     pub(super) disk: Option<usize>,
-    pub(super) turns: Turns,
+    pub(super) writer: SlotWriter,
     pub(super) since_ns: u64,
     /// A tick and when its first range arrived, by its own clock; `None` if a process was stopped since.
     pub(super) first_range: Option<(u64, u64)>,

@@ -31,7 +31,7 @@ impl Cluster<'_> {
         self.sim_starts = 0;
         self.groups = [GroupState::default(); 3];
         self.gateway.forget_roles();
-        self.run_life += 1;
+        self.incarnation += 1;
         self.checker.robots.iter_mut().for_each(|robot| robot.starts_anew());
         self.supervisor = Supervisor::new(self.plan);
         self.supervisor.looked_ns = self.now_ns;

@@ -12,7 +12,7 @@ use crate::vector::Vector;
 
 /// The situation and what follows from it for every step ahead.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Ahead<'a, const N: usize> {
+pub(super) struct Lookahead<'a, const N: usize> {
     pub(super) situation: &'a Situation,
     /// Of each robot.
     pub(super) noises: &'a [Noise],
@@ -21,7 +21,7 @@ pub(super) struct Ahead<'a, const N: usize> {
 
 /// The target at the end of a step, before the robots measure, and the cost of the steps before.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Known<const N: usize> {
+pub(super) struct PredictedBelief<const N: usize> {
     pub(super) target: Gaussian<N>,
     pub(super) cost: f64,
 }
@@ -33,16 +33,16 @@ pub(super) struct Corners {
     scratch_m: Vec<Vector>,
 }
 
-impl<const N: usize> Ahead<'_, N> {
+impl<const N: usize> Lookahead<'_, N> {
     /// At the end of the first step.
-    pub(super) fn first(&self) -> Known<N> {
+    pub(super) fn first(&self) -> PredictedBelief<N> {
         let belief = &self.situation.belief;
         let (x, p) = (belief.mean.fixed_rows::<N>(0).into(), belief.covariance.fixed_view::<N, N>(0, 0).into());
-        Known { target: Gaussian { x, p }, cost: 0.0 }
+        PredictedBelief { target: Gaussian { x, p }, cost: 0.0 }
     }
 
     /// Counts the measurements at the end of a step, and goes on to the next: the filter's own update and prediction.
-    pub(super) fn measure(&self, known: &mut Known<N>, information: Information) {
+    pub(super) fn measure(&self, known: &mut PredictedBelief<N>, information: Information) {
         let Information { t, s } = information;
         let matrix = Matrix2::new(t + s.x, s.y, s.y, t - s.x) * 0.5;
         let prior = Information::of_covariance(&known.target.position_covariance());
@@ -55,7 +55,7 @@ impl<const N: usize> Ahead<'_, N> {
     /// the clearances at the end of the step allow.
     pub(super) fn motion(
         &self,
-        known: &Known<N>,
+        known: &PredictedBelief<N>,
         robot: usize,
         position_m: Vector,
         heading: Vector,
@@ -84,7 +84,13 @@ impl<const N: usize> Ahead<'_, N> {
     }
 
     /// The information of a robot's measurement after it went this way to a place.
-    pub(super) fn information(&self, known: &Known<N>, robot: usize, way_m: Vector, position_m: Vector) -> Information {
+    pub(super) fn information(
+        &self,
+        known: &PredictedBelief<N>,
+        robot: usize,
+        way_m: Vector,
+        position_m: Vector,
+    ) -> Information {
         if !self.situation.team[robot].is_fused {
             return Information::default();
         }

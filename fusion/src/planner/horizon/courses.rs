@@ -3,7 +3,7 @@
 use std::f64::consts::TAU;
 use std::ops::Range;
 
-use super::ahead::{Ahead, Corners, Known};
+use super::ahead::{Corners, Lookahead, PredictedBelief};
 use super::minimum::minimum;
 use crate::planner::Situation;
 use crate::planner::curves::information::Information;
@@ -27,11 +27,11 @@ const WORK_MAX: usize = 200_000;
 
 /// Where a heading is improved.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) enum Look {
+pub(super) enum Search {
     /// The best of samples.
-    AllRound,
+    Global,
     /// A minimum near the present heading.
-    Near,
+    Local,
 }
 
 /// Courses and what they lead to. Rows of robots are ordered by block or by step.
@@ -91,7 +91,7 @@ impl Courses {
     }
 
     /// The team along its courses: the cost of the horizon.
-    pub(super) fn follow<const N: usize>(&mut self, ahead: &Ahead<'_, N>) -> f64 {
+    pub(super) fn follow<const N: usize>(&mut self, ahead: &Lookahead<'_, N>) -> f64 {
         for (place_m, member) in self.places_m.iter_mut().zip(&ahead.situation.team) {
             *place_m = member.position_m;
         }
@@ -110,7 +110,7 @@ impl Courses {
     ///
     /// While a robot's headings are improved, the others keep their places, as if none had to make way. So the cost of a sweep's
     /// outcome is computed with all robots, and a sweep that does not lower it is undone.
-    pub(super) fn descend<const N: usize>(&mut self, ahead: &Ahead<'_, N>, look: Look, sweeps_max: usize) -> f64 {
+    pub(super) fn descend<const N: usize>(&mut self, ahead: &Lookahead<'_, N>, look: Search, sweeps_max: usize) -> f64 {
         let mut cost = self.follow(ahead);
         for _ in 0..sweeps_max {
             self.before.clone_from(&self.headings);
@@ -135,7 +135,7 @@ impl Courses {
     }
 
     /// Improves the headings of one robot, block by block.
-    fn improve<const N: usize>(&mut self, ahead: &Ahead<'_, N>, robot: usize, look: Look) {
+    fn improve<const N: usize>(&mut self, ahead: &Lookahead<'_, N>, robot: usize, look: Search) {
         for (rest, informations) in self.rest.iter_mut().zip(self.informations.chunks(self.robots)) {
             let others = informations.iter().enumerate().filter(|(other, _)| *other != robot);
             *rest = others.fold(Information::default(), |sum, (_, information)| sum + *information);
@@ -151,7 +151,7 @@ impl Courses {
             };
             let mut best = (0.0, cost(0.0, f64::INFINITY));
             match look {
-                Look::AllRound => {
+                Search::Global => {
                     for k in 1..SAMPLES {
                         let turn_rad = TAU * k as f64 / SAMPLES as f64;
                         let tried = cost(turn_rad, best.1);
@@ -160,7 +160,7 @@ impl Courses {
                         }
                     }
                 }
-                Look::Near => {
+                Search::Local => {
                     let value = |turn_rad: f64| cost(turn_rad, f64::INFINITY);
                     let turn_rad = minimum(value, (-NEAR_RAD, NEAR_RAD), 0.0, ACCURACY);
                     if cost(turn_rad, best.1) < best.1 {
@@ -177,12 +177,12 @@ impl Courses {
     /// the others stays. Stops early once the cost is above a limit.
     fn go<const N: usize>(
         &mut self,
-        ahead: &Ahead<'_, N>,
+        ahead: &Lookahead<'_, N>,
         robot: usize,
-        (mut place_m, mut known): (Vector, Known<N>),
+        (mut place_m, mut known): (Vector, PredictedBelief<N>),
         blocks: Range<usize>,
         limit: f64,
-    ) -> (Vector, Known<N>) {
+    ) -> (Vector, PredictedBelief<N>) {
         for step in self.steps(blocks) {
             if known.cost > limit {
                 break;
@@ -197,8 +197,8 @@ impl Courses {
     /// One robot through a step: where it ends, and the information of its measurement there.
     fn advance<const N: usize>(
         &mut self,
-        ahead: &Ahead<'_, N>,
-        known: &Known<N>,
+        ahead: &Lookahead<'_, N>,
+        known: &PredictedBelief<N>,
         robot: usize,
         step: usize,
         from_m: Vector,

@@ -23,8 +23,8 @@ use super::curves::information::Information;
 use super::curves::noise::Noise;
 use super::{ForAnyTeam, Plan, Planner, PlannerError, Situation};
 use crate::vector::Vector;
-use ahead::{Ahead, Corners};
-use courses::{Courses, Look};
+use ahead::{Corners, Lookahead};
+use courses::{Courses, Search};
 
 /// Straight lines from which the descent of one robot starts.
 const STRAIGHT: usize = 4;
@@ -75,7 +75,7 @@ impl Horizon {
         noises.clear();
         noises.extend(situation.team.iter().map(Noise::of));
         let ahead =
-            Ahead::<N> { situation, noises: &noises, transition: situation.motion.transition(situation.step_s) };
+            Lookahead::<N> { situation, noises: &noises, transition: situation.motion.transition(situation.step_s) };
         let certified = self.follow_certified(tick, &ahead, plan);
         let least = self.search(&ahead, plan);
         // NaN is no improvement.
@@ -86,7 +86,7 @@ impl Horizon {
     }
 
     /// Finds the best courses; returns the cost of the horizon.
-    fn search<const N: usize>(&mut self, ahead: &Ahead<'_, N>, plan: &Plan) -> f64 {
+    fn search<const N: usize>(&mut self, ahead: &Lookahead<'_, N>, plan: &Plan) -> f64 {
         let Self { courses, certified, best, .. } = self;
         let Situation { belief, team, .. } = ahead.situation;
         let mut least = f64::INFINITY;
@@ -104,18 +104,18 @@ impl Horizon {
                     courses.headings.fill(sight.unwrap_or(Vector::new(1.0, 0.0)).rotated_by(turn));
                 }
             }
-            let cost = courses.descend(ahead, Look::AllRound, 1);
+            let cost = courses.descend(ahead, Search::Global, 1);
             if start == 0 || cost < least {
                 least = cost;
                 best.clone_from(&courses.headings);
             }
         }
         courses.headings.clone_from(best);
-        courses.descend(ahead, Look::Near, SWEEPS_MAX)
+        courses.descend(ahead, Search::Local, SWEEPS_MAX)
     }
 
     /// The certified plan of each step in turn: the cost of the horizon. Stores the team's headings, of each block from its start to its end.
-    fn follow_certified<const N: usize>(&mut self, tick: u64, ahead: &Ahead<'_, N>, plan: &Plan) -> f64 {
+    fn follow_certified<const N: usize>(&mut self, tick: u64, ahead: &Lookahead<'_, N>, plan: &Plan) -> f64 {
         let Situation { belief, team, clearance, criterion, step_s, .. } = ahead.situation;
         let Self { later, later_plan, one_step, courses, certified, .. } = self;
         courses.size(self.steps, self.blocks, team.len());
@@ -150,7 +150,7 @@ impl Horizon {
     }
 
     /// Commands the first step of the best headings. Robots that are not fused keep their commands.
-    fn command<const N: usize>(&mut self, ahead: &Ahead<'_, N>, plan: &mut Plan) {
+    fn command<const N: usize>(&mut self, ahead: &Lookahead<'_, N>, plan: &mut Plan) {
         let team = &ahead.situation.team;
         let known = ahead.first();
         let places_m = self.courses.places_m(0);

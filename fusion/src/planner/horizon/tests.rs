@@ -74,7 +74,7 @@ fn cost_of_step(situation: &Situation, measured: &Matrix2<f64>) -> f64 {
 }
 
 /// The cost of a horizon; a function says where the robots go in each step's situation.
-fn cost_of(ahead: &Ahead<'_, 4>, steps: usize, mut ways_m: impl FnMut(usize, &Situation) -> Vec<Vector>) -> f64 {
+fn cost_of(ahead: &Lookahead<'_, 4>, steps: usize, mut ways_m: impl FnMut(usize, &Situation) -> Vec<Vector>) -> f64 {
     let (mut now, mut known, mut cost) = (ahead.situation.clone(), ahead.first(), 0.0);
     for step in 0..steps {
         let (mut total, mut of_planner) = Default::default();
@@ -136,7 +136,7 @@ proptest! {
         horizon.plan(3, &situation, &mut plan);
 
         let noises: Vec<Noise> = situation.team.iter().map(Noise::of).collect();
-        let ahead = Ahead::<4> { situation: &situation, noises: &noises, transition: situation.motion.transition(situation.step_s) };
+        let ahead = Lookahead::<4> { situation: &situation, noises: &noises, transition: situation.motion.transition(situation.step_s) };
         let spec = PlannerSpec::Certified { nodes: defaults::NODES as u32 / steps };
         let mut certified = for_team(spec, robots, 1).unwrap();
         let mut first = Vec::new();
@@ -190,7 +190,8 @@ fn run_trace_m2(spec: PlannerSpec, start: &Situation, seed: u64) -> f64 {
         sum += plan.predicted.position_trace_m2;
         let noises: Vec<Noise> = now.team.iter().map(Noise::of).collect();
         let at_rest = now.clone();
-        let ahead = Ahead::<4> { situation: &at_rest, noises: &noises, transition: now.motion.transition(now.step_s) };
+        let ahead =
+            Lookahead::<4> { situation: &at_rest, noises: &noises, transition: now.motion.transition(now.step_s) };
         let mut known = ahead.first();
         let mut total = Information::default();
         for (i, way_m) in ways_m(&plan.commands, now.step_s).into_iter().enumerate() {
@@ -262,7 +263,7 @@ fn the_courses_of_one_robot_are_nearly_the_best() {
             horizon.plan(0, &situation, &mut Plan::default());
             let noises = [Noise::of(&situation.team[0])];
             let ahead =
-                Ahead::<4> { situation: &situation, noises: &noises, transition: situation.motion.transition(0.1) };
+                Lookahead::<4> { situation: &situation, noises: &noises, transition: situation.motion.transition(0.1) };
             let found = horizon.courses.follow(&ahead);
             let mut least = f64::INFINITY;
             for (i, j) in (0..32).flat_map(|i| (0..32).map(move |j| (i, j))) {

@@ -20,7 +20,7 @@ use nalgebra::{Cholesky, SMatrix, SVector, Vector2};
 use rangehound_shared::angle::wrapped_rad;
 use rangehound_shared::measurement::Kind;
 use rangehound_shared::motion::{MotionModel, Transition};
-use rangehound_shared::record::{Judged, Use};
+use rangehound_shared::record::{FusionDecision, GateResult};
 use rangehound_shared::sealed::{self, SealError};
 use serde::{Deserialize, Serialize};
 
@@ -103,7 +103,7 @@ pub struct Bank<const N: usize> {
     /// `ln p(z)` of the last step's ranges given all before.
     log_likelihood: f64,
     /// How the last step used its readings, in their order.
-    judged: Vec<Judged>,
+    judged: Vec<GateResult>,
     chain: Chain,
     outlier_share: f64,
     bend_max: f64,
@@ -243,7 +243,7 @@ impl<const N: usize> Bank<N> {
         // Without a gate every range passes, but it may still count as a failure.
         let is_failure = normalised_square.is_some_and(|square| self.gate.fails(square));
         fit.failed[reading.kind as usize].set(reading.robot, !passed || is_failure);
-        if used == Use::Fused {
+        if used == FusionDecision::Fused {
             fit.fused += 1;
         } else {
             fit.rejected += 1;
@@ -252,7 +252,7 @@ impl<const N: usize> Bank<N> {
             fit.nis_all += square;
             fit.tested += 1;
         }
-        self.judged.push(Judged { used, normalised_square });
+        self.judged.push(GateResult { used, normalised_square });
     }
 
     /// The hypothesis, if there is only one.
@@ -596,7 +596,7 @@ impl<const N: usize> Tracker for Bank<N> {
         self.advance(dt_s, readings)
     }
 
-    fn judged(&self) -> &[Judged] {
+    fn judged(&self) -> &[GateResult] {
         &self.judged
     }
 

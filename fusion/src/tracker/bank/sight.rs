@@ -97,7 +97,7 @@ fn outlier_std(kind: Kind, own_std: f64) -> f64 {
 ///
 /// In the plane, where the distance is curved in one direction only, the mean is `d + bend` and the added variance
 /// `2 bend^2`. For a sensor at another height, where it is curved in all directions, they come from
-/// [`Gaussian::bend`](crate::filter::Gaussian::bend).
+/// [`Gaussian::second_order`](crate::filter::Gaussian::second_order).
 fn bend_of_range(reading: &Reading, row: &mut Row, covariance: &Matrix2<f64>, distance_m: f64) -> (f64, f64) {
     let (range_m, height_m) = (reading.value, reading.pose.height_m);
     let innovation = &mut row.innovation;
@@ -110,7 +110,7 @@ fn bend_of_range(reading: &Reading, row: &mut Row, covariance: &Matrix2<f64>, di
     } else {
         // No slant distance is less than the height.
         let slant_m = (range_m - innovation.innovation).min(range_m).max(height_m.abs());
-        let bend = Gaussian::<2>::bend(covariance, &e, slant_m);
+        let bend = Gaussian::<2>::second_order(covariance, &e, slant_m);
         (bend.mean_m, bend.variance_m2)
     };
     innovation.innovation -= bend_m;

@@ -20,7 +20,7 @@ use std::rc::Rc;
 
 use rangehound_fusion::leader::Leader;
 use rangehound_shared::message::{Command, Drive, Estimate, Range, Refusal, WorldEntry};
-use rangehound_shared::record::Use;
+use rangehound_shared::record::FusionDecision;
 use rangehound_shared::scenario::{Clock, Scenario, Timeout};
 
 use super::plan::Plan;
@@ -226,7 +226,7 @@ impl Checker {
             if measured.iter().all(|range| range.measurement != heard.measurement) {
                 return Err(format!("the range of robot-{robot} at tick {range_tick} was taken for another tick's"));
             }
-            if heard.judged.iter().flatten().any(|judged| judged.used == Use::Fused)
+            if heard.judged.iter().flatten().any(|judged| judged.used == FusionDecision::Fused)
                 && *self.fused.entry((robot, range_tick)).or_insert(tick) != tick
             {
                 return Err(format!("the range of robot-{robot} at tick {range_tick} was fused twice"));

@@ -4,7 +4,7 @@ use rangehound_fusion::leader::{Leader, Saved};
 use rangehound_fusion::standby::{POLL_INTERVAL, Standby};
 use rangehound_node::rendezvous::tenure::needs_own_checkpoint;
 use rangehound_shared::protocol::wake::{Event, WaitGroup};
-use rangehound_shared::sealed::slots::Turns;
+use rangehound_shared::sealed::slots::SlotWriter;
 
 use crate::study::explore::checker::succession;
 use crate::study::explore::cluster::{Cluster, SimEvent, Violation};
@@ -99,7 +99,7 @@ impl Cluster<'_> {
         }
         self.after(0, SimEvent::Wakes { node, event: Some(Event::Range) });
         let Successor { lease, read } = &mut *successor;
-        let Some((machine, turns)) = read.take() else {
+        let Some((machine, writer)) = read.take() else {
             *read = Some(self.read_checkpoint(node)?);
             return Ok(Process::Successor(successor));
         };
@@ -108,7 +108,7 @@ impl Cluster<'_> {
         if needs_own_checkpoint(lease.incarnation) {
             disk = self.lead.is_current(*lease).then_some(self.disks.len());
             if disk.is_some() {
-                let moved = self.disks[self.disks.len() - 1].moved(&turns);
+                let moved = self.disks[self.disks.len() - 1].moved(&writer);
                 self.disks.push(moved);
             }
         }
@@ -127,7 +127,7 @@ impl Cluster<'_> {
             machine,
             lease,
             disk,
-            turns,
+            writer,
             first_range,
             since_ns: self.now_ns,
             ran_at_first_ns: None,
@@ -137,9 +137,9 @@ impl Cluster<'_> {
         Ok(Process::Leader(Box::new(leading)))
     }
 
-    fn read_checkpoint(&mut self, node: usize) -> Result<(Leader, Turns), Violation> {
+    fn read_checkpoint(&mut self, node: usize) -> Result<(Leader, SlotWriter), Violation> {
         let newest = &self.disks[self.disks.len() - 1];
-        let (saved, turns) = newest.read::<Saved<'static>>().map_err(|what| self.violation(Some(node), what))?;
+        let (saved, writer) = newest.read::<Saved<'static>>().map_err(|what| self.violation(Some(node), what))?;
         let mut machine = Leader::new(self.scenario).map_err(|error| self.violation(Some(node), error.to_string()))?;
         match saved {
             Some(saved) => {
@@ -151,7 +151,7 @@ impl Cluster<'_> {
             }
             None => {}
         }
-        Ok((machine, turns))
+        Ok((machine, writer))
     }
 
     /// After a stop, the time since the first range no longer limits how long fusion may gather the tick.

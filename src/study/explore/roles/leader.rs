@@ -192,7 +192,7 @@ impl Cluster<'_> {
             return Err(self.violation(Some(node), "a deposed fusion writes to its successor's checkpoint".to_owned()));
         }
         let saved = leading.machine.saved().map_err(|error| self.violation(Some(node), error.to_string()))?;
-        let written = self.disks[disk].write(&mut leading.turns, &saved, share);
+        let written = self.disks[disk].write(&mut leading.writer, &saved, share);
         written.map_err(|what| self.violation(Some(node), what))
     }
 }

@@ -1,7 +1,7 @@
 //! A robot on another host in simulated time: its machine, and its end of the link to the gateway.
 
 use rangehound_robot::machine::{Action, Machine};
-use rangehound_robot::remote::{Rejoin, RobotEnd, RunLife, silence_max_ns};
+use rangehound_robot::remote::{Rejoin, RobotEnd, RunIncarnation, silence_max_ns};
 use rangehound_shared::scenario::{Clock, Scenario};
 
 use crate::study::explore::checker::robot::RobotChecker;
@@ -29,7 +29,7 @@ pub(in crate::study::explore) struct RemoteEnd {
     /// When it next tries to join, by its own clock, ns.
     attempt_ns: u64,
     /// The run life that it has joined last.
-    of: Option<RunLife>,
+    of: Option<RunIncarnation>,
 }
 
 /// An open link.
@@ -168,8 +168,8 @@ impl Cluster<'_> {
         end.attempt_ns = now_ns + BETWEEN_NS;
         if let Some(connection) = self.join(id, self.nodes[node].life) {
             end.session = Some(Session { connection, joined_ns: now_ns });
-            let of = RunLife { run_id: RUN_ID, life: self.run_life };
-            if of.after(end.of.replace(of)) != Rejoin::GoesOn
+            let of = RunIncarnation { run_id: RUN_ID, life: self.incarnation };
+            if of.after(end.of.replace(of)) != Rejoin::Continue
                 && let Some(machine) = Machine::new(self.scenario, id, self.lead.starts())
             {
                 robot.machine = machine;

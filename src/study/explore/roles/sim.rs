@@ -5,7 +5,7 @@ use std::rc::Rc;
 use rangehound_node::world::world_of;
 use rangehound_shared::message::WorldEntry;
 use rangehound_shared::protocol::wake::WaitGroup;
-use rangehound_shared::sealed::slots::Turns;
+use rangehound_shared::sealed::slots::SlotWriter;
 use rangehound_sim::machine::{Action, Machine, Saved};
 
 use crate::study::explore::cluster::{Cluster, Violation};
@@ -18,7 +18,7 @@ impl Cluster<'_> {
         let world = world_of(self.scenario, std::path::Path::new(""));
         let world = world.map_err(|error| self.violation(Some(SIM), error.to_string()))?;
         let mut machine = Machine::new(self.scenario, world);
-        let (saved, turns) = self.sim_disk.read::<Saved<'static>>().map_err(|what| self.violation(Some(SIM), what))?;
+        let (saved, writer) = self.sim_disk.read::<Saved<'static>>().map_err(|what| self.violation(Some(SIM), what))?;
         match saved {
             Some(saved) => machine.restore(saved).map_err(|error| self.violation(Some(SIM), error.to_string()))?,
             None if self.checker.has_drives() => {
@@ -26,7 +26,7 @@ impl Cluster<'_> {
             }
             None => {}
         }
-        self.sim_turns = turns;
+        self.sim_writer = writer;
         self.sim_starts += 1;
         // The tick begins again.
         self.forget_first_range();
@@ -103,7 +103,7 @@ impl Cluster<'_> {
 
     fn save_sim(&mut self, machine: &mut Machine, share: f64) -> Result<(), Violation> {
         let saved = machine.saved().map_err(|error| self.violation(Some(SIM), error.to_string()))?;
-        let turns: &mut Turns = &mut self.sim_turns;
-        self.sim_disk.write(turns, &saved, share).map_err(|what| self.violation(Some(SIM), what))
+        let writer: &mut SlotWriter = &mut self.sim_writer;
+        self.sim_disk.write(writer, &saved, share).map_err(|what| self.violation(Some(SIM), what))
     }
 }

@@ -1,11 +1,11 @@
 //! The action of a robot that joins again.
 
-/// One life of a run: a run that is resumed has another one.
+/// An incarnation of a run: a run that is resumed has another one.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct RunLife {
+pub struct RunIncarnation {
     /// Id of the run.
     pub run_id: u64,
-    /// Its life.
+    /// Its incarnation.
     pub life: u64,
 }
 
@@ -13,26 +13,26 @@ pub struct RunLife {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Rejoin {
     /// It goes on where it was.
-    GoesOn,
+    Continue,
     /// It starts anew with the equipment that it has: simulator and fusion have lower incarnations than those that it knew.
-    StartsAnew,
+    Restart,
     /// It starts in a run that it does not know.
-    Starts,
+    Start,
 }
 
-impl RunLife {
-    /// The action of a robot that joins this life of a run after that one, if any.
+impl RunIncarnation {
+    /// The action of a robot that joins this incarnation of a run after that one, if any.
     #[must_use]
     pub fn after(self, before: Option<Self>) -> Rejoin {
         match before {
             Some(Self { run_id, life }) if run_id == self.run_id => {
                 if life == self.life {
-                    Rejoin::GoesOn
+                    Rejoin::Continue
                 } else {
-                    Rejoin::StartsAnew
+                    Rejoin::Restart
                 }
             }
-            _ => Rejoin::Starts,
+            _ => Rejoin::Start,
         }
     }
 }
@@ -43,9 +43,9 @@ mod tests {
 
     #[test]
     fn only_the_same_life_of_the_same_run_goes_on() {
-        let [known, resumed, other] = [(1, 5), (1, 6), (2, 5)].map(|(run_id, life)| RunLife { run_id, life });
-        assert_eq!(known.after(Some(known)), Rejoin::GoesOn);
-        assert_eq!(resumed.after(Some(known)), Rejoin::StartsAnew);
-        assert_eq!([other.after(Some(known)), known.after(None)], [Rejoin::Starts; 2]);
+        let [known, resumed, other] = [(1, 5), (1, 6), (2, 5)].map(|(run_id, life)| RunIncarnation { run_id, life });
+        assert_eq!(known.after(Some(known)), Rejoin::Continue);
+        assert_eq!(resumed.after(Some(known)), Rejoin::Restart);
+        assert_eq!([other.after(Some(known)), known.after(None)], [Rejoin::Start; 2]);
     }
 }
