@@ -211,7 +211,8 @@ fn watch_until_removed(name: &RunName, json: bool, termination: &Termination) ->
         } else if supervised.elapsed() > UNSUPERVISED && !rendezvous.is_finished() {
             watch.finish();
             return Err(Failure::Running(anyhow::anyhow!(
-                "run {name} was ended before its last tick: `rangehound resume` may continue it"
+                "run {name} was ended before its last tick: `rangehound resume {}` may continue it",
+                made::from_here(&description.out_dir).display()
             )));
         }
         std::thread::sleep(POLL_INTERVAL);
